@@ -227,13 +227,13 @@ if not TYPE_CHECKING:
 
 def _named(*names: str) -> None:
     """`from jaxclear.joint import Revolute` works as `jaxclear.joint.Revolute` does."""
-    left = [(f"{__name__}.{name}", globals()[name]) for name in names]
-    for path, place in left:
+    rest = [(f"{__name__}.{name}", globals()[name]) for name in names]
+    for path, place in rest:
         if isinstance(place, ModuleType):
             if isinstance(sys.modules.get(path), _Later):
                 del sys.modules[path]
             sys.modules.setdefault(path, place)
-            left += [(f"{path}.{name}", getattr(place, name)) for name in place.__all__]
+            rest += [(f"{path}.{name}", getattr(place, name)) for name in place.__all__]
 
 
 _named(*(name for name in __all__ if name not in _LATER))

@@ -61,9 +61,9 @@ HALF_SWING, PERIOD, ROUND = 0.04, 1.8, 0.98
 TABLE_STEP = PERIOD / 60
 
 
-def simulated(rig: jc.Mechanism, way: JointPath | None = None, **options: Any) -> Any:
+def simulated(rig: jc.Mechanism, path: JointPath | None = None, **options: Any) -> Any:
     """A run along a way, saved where its table stands."""
-    times = (pick_and_place() if way is None else way).times
+    times = (pick_and_place() if path is None else path).times
     step = jc.integrator.FixedStep(STEP)
     return jc.simulate(rig, times[-1], save=len(times), integrator=step, **options)
 
@@ -244,8 +244,8 @@ def loop_figure(run: Any, table: pandas.DataFrame) -> Figure:
     for axis, name in zip(axes, JOINTS, strict=False):
         angle = np.asarray(run.coordinate(name)) - LIFTED[JOINTS.index(name)]
         axis.plot(MILLI * angle[second], twist(run, name)[second] / ARCMIN, color="C0", lw=1.0)
-        lost = table["loses [arcmin]"][JOINTS.index(name)]
-        axis.set_title(f"{name}: loses {lost:.2f} arcmin", fontsize=9)
+        loss = table["loses [arcmin]"][JOINTS.index(name)]
+        axis.set_title(f"{name}: loses {loss:.2f} arcmin", fontsize=9)
         axis.set_xlabel("angle of the joint about the lifted arm [mrad]")
     axes[0].set_ylabel("joint less motor [arcmin]")
     return warned(figure, {"": run})

@@ -345,12 +345,12 @@ class AbstractJointLoad(AbstractStateLoad):
     def effect(self, time, positions, speeds, states):
         (motion,) = positions
         effect = self.act(time, motion, states)
-        lost = effect.dissipated
-        if lost is None:
+        loss = effect.dissipated
+        if loss is None:
             taken = sp.dot(effect.force, motion.velocity), sp.dot(effect.torque, motion.spin)
-            lost = sp.neg(sp.add(*taken))
+            loss = sp.neg(sp.add(*taken))
         wrench = (tuple(effect.force), tuple(effect.torque))
-        return CoordinateEffect(wrench, effect.rates, effect.stored, lost, effect.external)
+        return CoordinateEffect(wrench, effect.rates, effect.stored, loss, effect.external)
 
 
 def acts_on_coordinates(load: AbstractLoad) -> bool:

@@ -31,7 +31,7 @@ from jaxclear.laws.section import AbstractSection, AbstractShape
 
 # By which share of an element hinges of several kinds lie apart in it, so that there is a piece
 # with mass between them; the order alternates, which keeps order two.
-APART = 0.125
+SPACING = 0.125
 HINGES = {
     "bend_z": ("bend", Revolute(), "z"),
     "bend_y": ("bend across", Revolute(), "y"),
@@ -75,7 +75,7 @@ class Beam(AbstractQuantified):
             stiffness which `space` or `stretches` asks for.
     """
 
-    length: float = eqx.field(static=True, converter=lambda given: concrete(given) or given)
+    length: float = eqx.field(static=True, converter=lambda value: concrete(value) or value)
     section: AbstractSection
     material: Material | None = None
     density: Scalar | None = quantity(None, "kg/m^3", "density", above=0)
@@ -116,13 +116,13 @@ class Beam(AbstractQuantified):
         Args:
             name: name of the beam.
         """
-        found, element = [], self.length / self.segments
+        hinges, element = [], self.length / self.segments
         for i in range(self.segments):
             side = -1 if i % 2 else 1
             for j, kind in list(enumerate(self._kinds, -(len(self._kinds) // 2)))[::side]:
-                place = element * (i + 0.5 + APART * side * j)
-                found.append(Hinge(f"{name} {HINGES[kind][0]} {i + 1}", kind, place))
-        return tuple(found)
+                place = element * (i + 0.5 + SPACING * side * j)
+                hinges.append(Hinge(f"{name} {HINGES[kind][0]} {i + 1}", kind, place))
+        return tuple(hinges)
 
     def ends(self) -> list[float]:
         """Where pieces begin and end along the beam [m]."""
@@ -169,7 +169,7 @@ class Beam(AbstractQuantified):
             first = (np.pi / self.length) ** 2 * jnp.sqrt(rigidity.bend_z / mass)
             delay = 2 * self.damping / first
         stiffness = {kind: getattr(rigidity, kind) / element for kind in self._kinds}
-        return {kind: (own, sp.mul(delay, own)) for kind, own in stiffness.items()}
+        return {kind: (k, sp.mul(delay, k)) for kind, k in stiffness.items()}
 
 
 class Piece(AbstractQuantified):
@@ -205,8 +205,8 @@ class _Elasticity(AbstractStateLoad):
         each = list(zip(self.resistance(), positions, speeds, strict=True))
         forces = tuple(sp.neg(sp.add(k * q, sp.mul(d, v))) for (k, d), q, v in each)
         stored = sum(0.5 * k * q * q for (k, _), q, _ in each)
-        lost = sp.total(sp.mul(d, v * v) for (_, d), _, v in each)
-        return CoordinateEffect(forces, (), stored, lost, 0)
+        loss = sp.total(sp.mul(d, v * v) for (_, d), _, v in each)
+        return CoordinateEffect(forces, (), stored, loss, 0)
 
 
 def beam_of(bodies: dict[str, Any], name: str) -> str:
@@ -222,8 +222,8 @@ def wholes(bodies: dict[str, Any]) -> list[str]:
 
 def parts_of_beams(loads: Mapping[str, Any]) -> tuple[str, ...]:
     """The names of hinges of beams and of their elasticity in a mechanism under these loads."""
-    elastic = {name: own for name, own in loads.items() if isinstance(own, _Elasticity)}
-    return (*elastic, *(joint for own in elastic.values() for joint in own.coordinates()))
+    elastic = {name: load for name, load in loads.items() if isinstance(load, _Elasticity)}
+    return (*elastic, *(joint for load in elastic.values() for joint in load.coordinates()))
 
 
 def piece_name(beam: str, index: int) -> str:
@@ -237,9 +237,9 @@ def with_pieces(
     """Bodies, connections and loads of a mechanism in which beams are pieces, hinges and their
     elasticity, and markers lie on pieces; those that are already stay. What is left of a beam in
     whose place another body or beam has come goes, and its markers lie on that."""
-    beams = {n: own for n, own in bodies.items() if isinstance(own, Beam)}
-    pieces = {n: own for name, beam in beams.items() for n, own in beam.pieces(name).items()}
-    stale = {n: own for n, own in bodies.items() if isinstance(own, Piece) and own != pieces.get(n)}
+    beams = {n: b for n, b in bodies.items() if isinstance(b, Beam)}
+    pieces = {n: b for name, beam in beams.items() for n, b in beam.pieces(name).items()}
+    stale = {n: b for n, b in bodies.items() if isinstance(b, Piece) and b != pieces.get(n)}
     if not beams and not stale:
         return bodies, connections, loads
     built = [name for name in beams if f"{name} elasticity" in loads]
@@ -257,9 +257,9 @@ def with_pieces(
         elasticity = {f"{name} elasticity": _Elasticity(name, hinges)}
         made = (bodies, beam.pieces(name)), (connections, joints), (loads, elasticity)
         for parts, new in made:
-            for n, own in new.items():
-                there: Any = jax.tree.structure(parts.setdefault(n, own))
-                if there != jax.tree.structure(own):
+            for n, b in new.items():
+                there: Any = jax.tree.structure(parts.setdefault(n, b))
+                if there != jax.tree.structure(b):
                     raise ValueError(
                         f'"{n}" is a part of the beam "{name}", which makes it itself: leave it '
                         "as it is or out, or give yours another name."

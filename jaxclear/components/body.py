@@ -200,10 +200,10 @@ def _(marker: Marker, unit: Any = None) -> str:
     axis = f" along {marker.named_axis}" if marker.named_axis != "z" else ""
     axis = axis if marker.axis is None else f" along {number_in_words(marker.axis)}"
     turn = marker.quaternion
-    turned = "" if turn is None else f" turned by {number_in_words(turn)}"
+    turn_text = "" if turn is None else f" turned by {number_in_words(turn)}"
     if marker.angle is not None:
-        turned += f" turned by {number_in_words(marker.angle)} rad about z"
-    return f'"{marker.body}"{place}{axis}{turned}'
+        turn_text += f" turned by {number_in_words(marker.angle)} rad about z"
+    return f'"{marker.body}"{place}{axis}{turn_text}'
 
 
 class Connection(AbstractQuantified):
@@ -258,8 +258,8 @@ class Connection(AbstractQuantified):
                 f"a joint with a marker on {places} is given an axis beside it; put the axis into "
                 "the markers. A body's name beside a marker takes its axis."
             )
-        in_plane = any(own.axis is not None and own.named_axis == "x" for own in markers)
-        behind = [own for own in markers if own.named_axis in ("-x", "-y")]
+        in_plane = any(m.axis is not None and m.named_axis == "x" for m in markers)
+        behind = [m for m in markers if m.named_axis in ("-x", "-y")]
         if in_plane and behind:
             named = behind[0].named_axis
             raise ValueError(
@@ -267,10 +267,10 @@ class Connection(AbstractQuantified):
                 "the other body, against which that frame is turned over; write the numbers as a "
                 f'turn: axis="{named}" and the angle about z.'
             )
-        turned = _orientation(markers[0]) if markers else {"axis": "z" if axis is None else axis}
+        frame = _orientation(markers[0]) if markers else {"axis": "z" if axis is None else axis}
         self.joint = joint
-        self.parent = parent if isinstance(parent, Marker) else Marker(parent, at, **turned)
-        self.child = child if isinstance(child, Marker) else Marker(child, None, **turned)
+        self.parent = parent if isinstance(parent, Marker) else Marker(parent, at, **frame)
+        self.child = child if isinstance(child, Marker) else Marker(child, None, **frame)
 
 
 def _orientation(marker: Marker) -> dict[str, Any]:

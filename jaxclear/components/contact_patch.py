@@ -97,8 +97,8 @@ class Patch(NamedTuple):
         them has come to a level [m]."""
         overlap = self.outline.at(level)[0]
         mean = self.share * (self._mean_root(level) + LEAST_SHARE * safe_sqrt(overlap))
-        own, whole = volume * mean, 2.0 * self.root * overlap
-        return safe_divide(mean * overlap, own + safe_sqrt(own * own + whole * whole))
+        ratio, full = volume * mean, 2.0 * self.root * overlap
+        return safe_divide(mean * overlap, ratio + safe_sqrt(ratio * ratio + full * full))
 
     def _mean_root(self, level: Scalar) -> Array:
         """Mean over the way, and over each cell, of the root of the overlap [m0.5]: as the contact
@@ -170,7 +170,7 @@ class Contact(Protocol):
         """Cells worn so deep [m], which have `overlapped` and `pressures` as of a `Patch`."""
 
 
-def depth_lost(contact: Contact, patch: Any, start: Scalar) -> tuple[Depth, Scalar]:
+def depth_loss(contact: Contact, patch: Any, start: Scalar) -> tuple[Depth, Scalar]:
     r"""(depth [m] that each cell loses, eccentricity [m] of the part, sought from a `start` [m]).
     Depths are in proportion to the mean
     pressure once a part of the volume is lost (`volume_before_pressure`),
@@ -181,23 +181,23 @@ def depth_lost(contact: Contact, patch: Any, start: Scalar) -> tuple[Depth, Scal
     removed = volume_before_pressure(contact.volume, contact.load)
     area = contact.surface.areas()[0]
 
-    def closer(wanted, patch, level):
+    def closer(target, patch, level):
         # A product with a vector is several times faster than a sum.
         sums = (jnp.sum(cells @ area) for cells in patch.overlapped(level))
-        return next_level(level, wanted, *sums)
+        return next_level(level, target, *sums)
 
-    wanted = removed + contact.load.overlap
+    target = removed + contact.load.overlap
     # Held as they are: a loop that ends by itself has no derivative in reverse mode.
-    held = jax.lax.stop_gradient((wanted, patch))
+    fixed = jax.lax.stop_gradient((target, patch))
 
     def turn(now):
         count, _, level = now
-        return count + 1, *closer(*held, level)
+        return count + 1, *closer(*fixed, level)
 
     first = jnp.zeros((), int), jnp.zeros((), bool), jax.lax.stop_gradient(start)
     level = jax.lax.while_loop(lambda now: ~now[1] & (now[0] < MOST_STEPS), turn, first)[2]
     for _ in range(LAST_STEPS - 1):
-        _, level = closer(wanted, patch, level)
+        _, level = closer(target, patch, level)
     pressure = patch.pressures(removed, level)
     return contact.volume * safe_divide(1.0, jnp.sum(pressure @ area)) * pressure, level
 
@@ -211,13 +211,13 @@ def volume_before_pressure(volume: Scalar, load: Elasticity) -> Scalar:
 
 
 def next_level(
-    level: Scalar, wanted: Scalar, overlap: Scalar, slope: Scalar
+    level: Scalar, target: Scalar, overlap: Scalar, slope: Scalar
 ) -> tuple[Array, Scalar]:
     """(whether an overlap [m3] at a level is near that wanted, the next level [m]); `slope` of the
     overlap [m2]. The overlap of all cells is convex in the level, so that there is one solution,
     and from above it every step stays above."""
-    missing = wanted - overlap
-    return jnp.abs(missing) <= NEAR * wanted, level + safe_divide(missing, slope)
+    missing = target - overlap
+    return jnp.abs(missing) <= NEAR * target, level + safe_divide(missing, slope)
 
 
 class Share(NamedTuple):
@@ -242,9 +242,9 @@ def find_share(
         def visit(column, place, carry):
             total, pressure = carry
             patch = contact.patch(column, place[1], entry(depth, place))
-            found = patch.pressures(removed, level)
+            result = patch.pressures(removed, level)
             area = contact.surface.row_area(place[1])
-            return total + area * found, with_entry(pressure, place, found)
+            return total + area * result, with_entry(pressure, place, result)
 
         first = jnp.zeros(()), now[2]
         total, after = through(touched, depth.shape, visit, first, (False, True), contact)
@@ -258,10 +258,10 @@ def find_share(
 
 
 def _find_level(contact: Contact, removed: Scalar, depth: Depth) -> Scalar:
-    """Eccentricity [m] of the part once a volume [m3] is removed, as `depth_lost` finds it."""
+    """Eccentricity [m] of the part once a volume [m3] is removed, as `depth_loss` finds it."""
 
     def turn(now):
-        count, left, level = now
+        count, turns_left, level = now
 
         def visit(column, place, sums):
             patch = contact.patch(column, place[1], entry(depth, place))
@@ -273,7 +273,7 @@ def _find_level(contact: Contact, removed: Scalar, depth: Depth) -> Scalar:
         touched = contact.touched(jax.lax.stop_gradient(level))
         sums = through(touched, depth.shape, visit, nothing, False, contact)
         near, level = next_level(level, removed + contact.load.overlap, *sums)
-        return count + 1, jnp.where(near, left - 1, left), level
+        return count + 1, jnp.where(near, turns_left - 1, turns_left), level
 
     first = jnp.zeros((), int), jnp.full((), LAST_STEPS), contact.start(depth)
     return while_loop(lambda now: (now[1] > 0) & (now[0] < MOST_STEPS), turn, first)[2]
@@ -353,7 +353,7 @@ def point_contact(depth: Scalar, radius: Scalar, clearance: Scalar, half_arc: Sc
     return Elasticity(depth, overlap, root)
 
 
-def line_sunk(
+def line_depth(
     volume: Scalar, radius: Scalar, clearance: Scalar, length: Scalar, fall: Scalar
 ) -> Scalar:
     """How deep [m] a journal sinks into an unworn bearing that overlaps it by a volume [m3], or a
@@ -362,7 +362,7 @@ def line_sunk(
     return jnp.maximum(jnp.cbrt(parallel) ** 2, power(2.5 * fall * parallel, jnp.asarray(0.4)))
 
 
-def point_sunk(volume: Scalar, radius: Scalar, clearance: Scalar) -> Scalar:
+def point_depth(volume: Scalar, radius: Scalar, clearance: Scalar) -> Scalar:
     """How deep [m] a ball sinks into an unworn socket that overlaps it by a volume [m3]."""
     return safe_sqrt(volume * clearance / jnp.pi) / radius
 

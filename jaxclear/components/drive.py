@@ -167,8 +167,8 @@ class Speed(AbstractDrive):
         function = _as_number(self.function)
         time = jnp.asarray(time, float)
         speed, acceleration = jax.jvp(function, (time,), (jnp.ones_like(time),))
-        given: Any = self.function
-        exact = given.integral(time) if isinstance(given, AbstractFunctionOfTime) else None
+        source: Any = self.function
+        exact = source.integral(time) if isinstance(source, AbstractFunctionOfTime) else None
         travelled = self._travelled(time, function) if exact is None else exact
         return self.start + travelled, speed, acceleration
 

@@ -25,26 +25,26 @@ def check_function_of_angle(part: Any, field: str) -> None:
     if function is None:
         return
     owner = f"{public_name(type(part))} has {field} = {described(function)}"
-    wanted = "it must take an angle [rad] and return one number, the same again after a turn"
+    rule = "it must take an angle [rad] and return one number, the same again after a turn"
     if not callable(function):
-        raise ValueError(f"{owner}; {wanted}.")
-    answer = lambda at: call_user(f"{owner}, which", function, at, requirement=f"I{wanted[1:]}.")
-    found = shape_of(
+        raise ValueError(f"{owner}; {rule}.")
+    answer = lambda at: call_user(f"{owner}, which", function, at, requirement=f"I{rule[1:]}.")
+    value = shape_of(
         lambda at: jax.tree.map(jnp.asarray, answer(at)), jax.ShapeDtypeStruct((), jnp.float64)
     )
-    if [leaf.shape for leaf in jax.tree.leaves(found)] != [()]:
-        raise ValueError(f"{owner}, which returns something else; {wanted}.")
+    if [leaf.shape for leaf in jax.tree.leaves(value)] != [()]:
+        raise ValueError(f"{owner}, which returns something else; {rule}.")
     if is_traced(function):
         return
     turns = [np.asarray(jax.vmap(function)(jnp.asarray(LOOKS + k * TURN)), float) for k in (0, 1)]
-    apart, size = np.abs(turns[1] - turns[0]), max(np.ptp(turns[0]), np.abs(turns[0]).max())
+    difference, size = np.abs(turns[1] - turns[0]), max(np.ptp(turns[0]), np.abs(turns[0]).max())
     if not np.all(np.isfinite(turns)):
-        raise ValueError(f"{owner}, which is not finite everywhere; {wanted}.")
-    if apart.max() > REPEATED * size:
-        place = int(np.argmax(apart))
+        raise ValueError(f"{owner}, which is not finite everywhere; {rule}.")
+    if difference.max() > REPEATED * size:
+        place = int(np.argmax(difference))
         raise ValueError(
             f"{owner}, which is {turns[0][place]:.6g} at {LOOKS[place]:.4g} rad and "
-            f"{turns[1][place]:.6g} a turn further on; {wanted}."
+            f"{turns[1][place]:.6g} a turn further on; {rule}."
         )
 
 

@@ -64,19 +64,19 @@ def check_function_of_time(part: Any, field: str, counts: tuple[int, ...] = (1,)
     if not callable(function):
         return
     number = " or ".join(map(str, counts))
-    wanted = f"must take a time [s] and return {number} number{'s' if counts != (1,) else ''}"
+    rule = f"must take a time [s] and return {number} number{'s' if counts != (1,) else ''}"
     owner = f"{public_name(type(part))} has {field} = {described(function)}"
     answers = lambda at: jax.tree.map(jnp.asarray, function(at))
-    found = shape_of(
-        lambda at: call_user(f"{owner}, which", answers, at, requirement=f"It {wanted}."),
+    value = shape_of(
+        lambda at: call_user(f"{owner}, which", answers, at, requirement=f"It {rule}."),
         jax.ShapeDtypeStruct((), jnp.float64),
     )
-    shapes = [leaf.shape for leaf in jax.tree.leaves(found)]
+    shapes = [leaf.shape for leaf in jax.tree.leaves(value)]
     plain = all(shape == () for shape in shapes) or (len(shapes) == 1 and len(shapes[0]) == 1)
     alone = counts == (1,) and shapes != [()]
     if not plain or alone or sum(map(math.prod, shapes)) not in counts:
         returned = f"{len(shapes)} numbers" if plain and len(shapes) > 1 else str(shapes)
-        raise ValueError(f"{owner}, which returns {returned}; it {wanted}.")
+        raise ValueError(f"{owner}, which returns {returned}; it {rule}.")
 
 
 class _Opened(eqx.Module):
@@ -162,12 +162,12 @@ class TimeTable(AbstractFunctionOfTime):
     ):
         check_name("interpolation of a TimeTable", interpolation, INTERPOLATIONS)
         check_name("way beyond a TimeTable", beyond, BEYOND)
-        known = _known_times(times)
-        values = _checked(values, known, beyond)
-        self.times, self.values, self.factor = jnp.asarray(known), values, factor
+        instants = _as_times(times)
+        values = _checked(values, instants, beyond)
+        self.times, self.values, self.factor = jnp.asarray(instants), values, factor
         self.interpolation, self.beyond = interpolation, beyond
-        self.coefficients = _coefficients(known, values, interpolation, beyond)
-        steps = _along(np.diff(known), values)
+        self.coefficients = _coefficients(instants, values, interpolation, beyond)
+        steps = _along(np.diff(instants), values)
         gained = sum(c * steps ** (k + 1) / (k + 1) for k, c in enumerate(self.coefficients))
         self.areas = jnp.concatenate([jnp.zeros_like(values[:1]), jnp.cumsum(gained, axis=0)])
 
@@ -190,7 +190,7 @@ class TimeTable(AbstractFunctionOfTime):
         Returns:
             the table, a `TimeTable`.
         """
-        at = jnp.asarray(_known_times(times))
+        at = jnp.asarray(_as_times(times))
         values = jax.vmap(lambda time: jnp.asarray(function(time), float))(at)
         return cls(at, values, interpolation, **further)
 
@@ -215,31 +215,31 @@ class TimeTable(AbstractFunctionOfTime):
         """
         names = [values] if isinstance(values, str) else list(values)
         columns = columns_of(path, [time, *names])
-        found = np.stack(columns[1:], axis=-1) if not isinstance(values, str) else columns[1]
-        return cls(columns[0], found, interpolation, **further)
+        values_read = np.stack(columns[1:], axis=-1) if not isinstance(values, str) else columns[1]
+        return cls(columns[0], values_read, interpolation, **further)
 
     def __call__(self, time: Scalar) -> Any:
-        time, whole, _ = self._within(time)
-        index, s = self._piece(whole)
+        time, periods, _ = self._within(time)
+        index, s = self._piece(periods)
         a, b, c, d = (self.coefficients[k, index] for k in range(4))
-        found = a + s * (b + s * (c + s * d))
+        value = a + s * (b + s * (c + s * d))
         if self.beyond == "straight":
-            found = found + (time - whole) * (b + s * (2 * c + 3 * s * d))
-        return self.factor * found
+            value = value + (time - periods) * (b + s * (2 * c + 3 * s * d))
+        return self.factor * value
 
     def integral(self, time):
         def area(at):
-            at, whole, turns = self._within(at)
-            index, s = self._piece(whole)
+            at, periods, turns = self._within(at)
+            index, s = self._piece(periods)
             a, b, c, d = (self.coefficients[k, index] for k in range(4))
-            found = self.areas[index] + s * (a + s * (b / 2 + s * (c / 3 + s * d / 4)))
+            area = self.areas[index] + s * (a + s * (b / 2 + s * (c / 3 + s * d / 4)))
             if self.beyond == "repeated":
-                return found + turns * self.areas[-1]
-            past, end = at - whole, a + s * (b + s * (c + s * d))
-            found = found + past * end
+                return area + turns * self.areas[-1]
+            past, end = at - periods, a + s * (b + s * (c + s * d))
+            area = area + past * end
             if self.beyond == "held":
-                return found
-            return found + 0.5 * past * past * (b + s * (2 * c + 3 * s * d))
+                return area
+            return area + 0.5 * past * past * (b + s * (2 * c + 3 * s * d))
 
         return self.factor * (area(time) - area(0.0))
 
@@ -296,41 +296,41 @@ def _along(steps: np.ndarray, values: Any) -> Any:
     return jnp.asarray(steps).reshape(-1, *[1] * (values.ndim - 1))
 
 
-def _known_times(times: Any) -> np.ndarray:
+def _as_times(times: Any) -> np.ndarray:
     try:
-        found = np.asarray(times, float)
+        instants = np.asarray(times, float)
     except (TypeError, ValueError, jax.errors.TracerArrayConversionError):
-        found = np.zeros(0)
-    if found.ndim != 1 or len(found) < 2 or not np.all(np.isfinite(found)):
+        instants = np.zeros(0)
+    if instants.ndim != 1 or len(instants) < 2 or not np.all(np.isfinite(instants)):
         raise ValueError(
             f"times of a TimeTable are {described(times)}; they must be two or more finite numbers "
             "[s]."
         )
-    if np.any(np.diff(found) <= 0):
+    if np.any(np.diff(instants) <= 0):
         raise ValueError("times of a TimeTable must rise, each above the one before.")
-    return found
+    return instants
 
 
 def _checked(values: Any, times: np.ndarray, beyond: str) -> Array:
     """The values as an array, one row for each time."""
     try:
-        found = jnp.asarray(values, float)
+        array = jnp.asarray(values, float)
     except (TypeError, ValueError):
-        found = jnp.zeros(())
-    if found.ndim not in (1, 2) or len(found) != len(times):
+        array = jnp.zeros(())
+    if array.ndim not in (1, 2) or len(array) != len(times):
         raise ValueError(
             f"values of a TimeTable are {described(values)}; there must be one, or one row, for "
             f"each of its {len(times)} times."
         )
-    if isinstance(found, jax.core.Tracer):
-        return found
-    if not np.all(np.isfinite(found)):
+    if isinstance(array, jax.core.Tracer):
+        return array
+    if not np.all(np.isfinite(array)):
         raise ValueError("values of a TimeTable must be finite.")
-    if beyond == "repeated" and not np.allclose(found[0], found[-1], rtol=1e-9, atol=0.0):
+    if beyond == "repeated" and not np.allclose(array[0], array[-1], rtol=1e-9, atol=0.0):
         raise ValueError(
             "a TimeTable that is repeated must end with the value with which it begins."
         )
-    return found
+    return array
 
 
 def _coefficients(times: np.ndarray, values: Array, interpolation: str, beyond: str) -> Array:

@@ -123,8 +123,8 @@ class Action(NamedTuple):
         Raises:
             ValueError: if no marker matches, or several do.
         """
-        alike = (lambda own: own is self.marker, self._equals, self._shares_body)
-        matches = ([i for i, own in enumerate(markers) if test(own)] for test in alike)
+        tests = (lambda a: a is self.marker, self._equals, self._shares_body)
+        matches = ([i for i, a in enumerate(markers) if test(a)] for test in tests)
         places = next(filter(None, matches), [])
         if order not in places and len(places) != 1:
             on = f'a marker on "{self.marker.body}"'

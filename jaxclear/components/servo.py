@@ -103,7 +103,7 @@ class Servo(AbstractStateLoad):
         return self.period
 
     def sampled(self, time, positions, speeds, states):
-        torque, error = self._asked(time, positions[0], speeds[0], states)
+        torque, error = self._target(time, positions[0], speeds[0], states)
         integral = () if self.ki is None else (states[0] + self.period * error,)
         return (*integral, *states[len(integral) :][1:], torque)
 
@@ -131,13 +131,13 @@ class Servo(AbstractStateLoad):
         """
         if self.period is not None:
             return states[len(states) - 1 - self.delay], (0.0,) * len(states)
-        torque, error = self._asked(time, position, speed, states)
+        torque, error = self._target(time, position, speed, states)
         return torque, () if self.ki is None else (error,)
 
-    def _asked(self, time, position, speed, states):
+    def _target(self, time, position, speed, states):
         """The torque [N m] that the controller asks for, and the rate of its integral [rad]."""
-        wanted, rate = _motion(self.reference, time)
-        error = wanted - position
+        target, rate = _motion(self.reference, time)
+        error = target - position
         torque = self.kp * error
         if self.kd is not None:
             torque = torque + self.kd * (rate - speed)
@@ -160,8 +160,8 @@ class _ServoOnMotor(AbstractStateLoad):
     end: MotorEnd
 
     def coordinates(self):
-        own = (self.end.coordinate,)
-        return (self.servo.joint, *own) if self.servo.encoder == "load" else own
+        end = (self.end.coordinate,)
+        return (self.servo.joint, *end) if self.servo.encoder == "load" else end
 
     def states(self):
         return self.servo.states()

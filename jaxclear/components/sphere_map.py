@@ -27,7 +27,7 @@ from jaxclear.components.contact_patch import (
     depth_of,
     entry,
     point_contact,
-    point_sunk,
+    point_depth,
     square_width,
     table_rows,
 )
@@ -110,30 +110,30 @@ class PointContact(NamedTuple):
         level, z = elevation[..., 0], elevation[..., 1]
         x, y = columns[0] * level, columns[1] * level
         ahead, sideways = (x * a + y * b + z * c for a, b, c in (self.normal, self.travel))
-        beside = safe_sqrt(ahead * ahead + sideways * sideways)
+        across = safe_sqrt(ahead * ahead + sideways * sideways)
         # A cell's sides, along the mean normal and along the travel.
         wide, high = self.surface.sides
         level = safe_sqrt(x * x + y * y)
         pairs = (self.normal, ahead), (self.travel, sideways)
-        around = [wide * (x * way[1] - y * way[0]) for way, _ in pairs]
-        along = [high * safe_divide(way[2] - z * share, level) for way, share in pairs]
+        around = [wide * (x * step[1] - y * step[0]) for step, _ in pairs]
+        along = [high * safe_divide(step[2] - z * share, level) for step, share in pairs]
 
         def extent(a, b):
             """Of a cell, along a part of the one and one of the other, as two spreads add up."""
             first, second = (a * side[0] + b * side[1] for side in (around, along))
             return safe_sqrt(first * first + second * second)
 
-        a, b = safe_divide(ahead, beside), safe_divide(sideways, beside)
+        a, b = safe_divide(ahead, across), safe_divide(sideways, across)
         # Without a direction all are as near.
-        cosine = jnp.where(self.directed, beside, 1.0)
+        cosine = jnp.where(self.directed, across, 1.0)
         away = jnp.where(self.directed, direction_angle(ahead, jnp.abs(sideways)), 0.0)
         clearance = self.surface.clearance
-        room = clearance + depth
-        nearest = Outline(cosine, room, clearance * (0.5 * extent(a, b) + SHARPEST))
+        space = clearance + depth
+        nearest = Outline(cosine, space, clearance * (0.5 * extent(a, b) + SHARPEST))
         long = extent(-b, a) + SHARPEST
         half = arc_with_cell(self.half_arc, long)
         outline = Swept(nearest, away, self.half_arc, long)
-        return Patch(outline, nearest, away, half, room, 1.0, self.load.root)
+        return Patch(outline, nearest, away, half, space, 1.0, self.load.root)
 
     def start(self, depth: Float[Array, "around along"]) -> Scalar:
         # In the middle of its arc.
@@ -154,9 +154,9 @@ class PointContact(NamedTuple):
         column, row = surface.position(*self.normal)
         level = safe_sqrt(1.0 - self.normal[2] * self.normal[2])
         # A cap that holds a pole lies on all columns.
-        beside = jnp.sin(jnp.minimum(reach, 0.5 * jnp.pi))
-        all_around = (beside >= level) | ~self.directed
-        wide = arc_sine(jnp.where(all_around, 1.0, safe_divide(beside, level)))
+        across = jnp.sin(jnp.minimum(reach, 0.5 * jnp.pi))
+        all_around = (across >= level) | ~self.directed
+        wide = arc_sine(jnp.where(all_around, 1.0, safe_divide(across, level)))
         wider = 0.5 * (surface.coarseness - 1.0)
         wide, high = wide * (around / (2 * jnp.pi)) + wider, reach * (along / jnp.pi) + wider
         first = -jnp.floor(wide - column)
@@ -204,8 +204,8 @@ def _along_the_wall(normal: Float[Array, "3"]) -> Float[Array, "3"]:
     x, y, z = normal
     zero = jnp.zeros_like(x)
     first = jnp.abs(x) * OFF_THE_TIES >= jnp.abs(z)
-    way = jnp.where(first, jnp.stack([-y, x, zero]), jnp.stack([zero, -z, y]))
-    return safe_divide(way, safe_sqrt(jnp.sum(way * way)))
+    axis = jnp.where(first, jnp.stack([-y, x, zero]), jnp.stack([zero, -z, y]))
+    return safe_divide(axis, safe_sqrt(jnp.sum(axis * axis)))
 
 
 def spline_weights(position: Float[Array, "..."]) -> tuple[Array, Float[Array, "... 3"]]:
@@ -313,13 +313,13 @@ class SphereMap(AbstractSurface):
         travel, share = _travel(normal, products, DROWNED * self.cell)
         half_arc = arc(length) * safe_sqrt(share)
         square, unresolved = half_arc * half_arc, (UNRESOLVED * self.cell) ** 2
-        held = jax.lax.stop_gradient(travel)
-        told = square / jnp.sqrt(square * square + unresolved * unresolved)
-        travel = held + jax.lax.stop_gradient(told) * (travel - held)
+        fixed = jax.lax.stop_gradient(travel)
+        resolved = square / jnp.sqrt(square * square + unresolved * unresolved)
+        travel = fixed + jax.lax.stop_gradient(resolved) * (travel - fixed)
         overlap = depth_of(safe_divide(1.0, narrowness), self.cell, self.clearance)
         load = point_contact(overlap, self.radius, self.clearance, half_arc)
-        sunk = point_sunk(volume + load.overlap, self.radius, self.clearance)
-        return PointContact(self, volume, normal, length > 0, travel, half_arc, load, sunk)
+        depth = point_depth(volume + load.overlap, self.radius, self.clearance)
+        return PointContact(self, volume, normal, length > 0, travel, half_arc, load, depth)
 
     def depth_towards(
         self, depth: Float[Array, "around along"], x: Scalar, y: Scalar, z: Scalar

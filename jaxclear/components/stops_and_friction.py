@@ -30,8 +30,8 @@ from jaxclear.ground.quantity import AbstractQuantified, Scalar, concrete, quant
 from jaxclear.laws.transmission import holding, one_sided
 
 
-def _number_function_or_pressed(given: Any) -> Any:
-    return given if isinstance(given, Pressed) else number_or_function(given)
+def _number_function_or_pressed(value: Any) -> Any:
+    return value if isinstance(value, Pressed) else number_or_function(value)
 
 
 class JointStop(AbstractCoordinateLoad):
@@ -284,4 +284,4 @@ class JointFriction(AbstractStateLoad):
         # As a function of time, so that what the bristle stores is none of a number's.
         pressed: Any = self.torque
         torque = pressed.factor * jnp.abs(jnp.asarray(force, float))
-        return eqx.tree_at(lambda own: own.torque, self, lambda time: torque)
+        return eqx.tree_at(lambda f: f.torque, self, lambda time: torque)

@@ -36,7 +36,7 @@ LEAST_CELLS, LEAST_OVERLAP = 2.0, 1e-3
 
 
 # Half of the shortest way [cells]: how long a shorter one is hangs on rounding.
-LEAST_WAY = 1e-2
+SHORTEST_PATH = 1e-2
 
 
 class Face(NamedTuple):
@@ -94,8 +94,8 @@ class FacePatch(NamedTuple):
         overlap, _ = self.overlapped(level)
         face = Face(level - self.depth, self.slope, self.length)
         mean = face.share(self.away - self.half, self.away + self.half) / (2.0 * self.half)
-        own = volume * (mean + LEAST_SHARE * overlap)
-        return safe_divide(own * overlap, own + self.root * overlap)
+        loss = volume * (mean + LEAST_SHARE * overlap)
+        return safe_divide(loss * overlap, loss + self.root * overlap)
 
 
 class FaceContact(NamedTuple):
@@ -157,15 +157,15 @@ def _half_path_squared(middle: Scalar, square: Scalar) -> Scalar:
     return 3.0 * positive_part(square - middle * middle)
 
 
-def _sunk(area: Scalar, face: Scalar, half: Scalar, slope: Scalar) -> Scalar:
+def _corner_depth(area: Scalar, face: Scalar, half: Scalar, slope: Scalar) -> Scalar:
     """How deep [m] a corner sinks into an unworn wall that its face overlaps by an area [m2] along
     its way."""
     falls, rises = positive_part(slope), positive_part(-slope)
-    whole = 2.0 * half + face
+    full = 2.0 * half + face
     tilted = area < falls * (0.5 * face + 2.0 * half) * face
     root = jnp.sqrt(4.0 * half * half + 2.0 * area / jnp.where(tilted, falls, 1.0))
     flat = area + 0.5 * falls * face * face - rises * (0.5 * face + 2.0 * half) * face
-    return jnp.where(tilted, 2.0 * area / (2.0 * half + root), flat / whole)
+    return jnp.where(tilted, 2.0 * area / (2.0 * half + root), flat / full)
 
 
 def _share(distance: Array) -> Array:
@@ -238,16 +238,16 @@ class WallMap(AbstractSurface):
 
     def contact(self, volume, features):
         middle, square, fall, indentation, side, end = features
-        half = jnp.sqrt(_half_path_squared(middle, square) + (LEAST_WAY * self.cell) ** 2)
+        half = jnp.sqrt(_half_path_squared(middle, square) + (SHORTEST_PATH * self.cell) ** 2)
         slope = fall / self.face
         least = LEAST_CELLS * self.cell * positive_part(slope) + LEAST_OVERLAP * self.clearance
         face = Face(jnp.maximum(indentation, least), slope, self.face)
         deepest = face.depth + positive_part(-fall)
         overlap = self.breadth * (face.overlap() + 2.0 * half * deepest)
         load = Elasticity(face.depth, overlap, self.breadth * face.share(0.0, self.face))
-        sunk = _sunk((volume + overlap) / self.breadth, self.face, half, slope)
+        depth = _corner_depth((volume + overlap) / self.breadth, self.face, half, slope)
         place = middle + 0.5 * end * self.face
-        return FaceContact(self, volume, side, end, place, half, slope, load, sunk)
+        return FaceContact(self, volume, side, end, place, half, slope, load, depth)
 
     def depth_at(self, depth: Array, side: int, place: Scalar) -> Scalar:
         """Worn depth [m] of a wall (0 or 1) at a place along the guide [m]."""
@@ -256,15 +256,15 @@ class WallMap(AbstractSurface):
         position = (self.row(place - self.middle) + 0.5) / self.coarseness - 0.5
         nearest = jnp.clip(jnp.round(position), 0.0, last)
         row = nearest.astype(int) * side_of_cell
-        left, here, right = (
+        before, here, right = (
             entry(depth, (side, jnp.clip(row + k * side_of_cell, 0, self.cells[1] - 1)))
             for k in (-1, 0, 1)
         )
-        left, right = (
-            jnp.where(nearest == 0, _beyond(here, right), left),
-            jnp.where(nearest == last, _beyond(here, left), right),
+        before, right = (
+            jnp.where(nearest == 0, _beyond(here, right), before),
+            jnp.where(nearest == last, _beyond(here, before), right),
         )
-        return spline(position - nearest, left, here, right)
+        return spline(position - nearest, before, here, right)
 
     def depth_at_end(self, depth: Array, side: int, end: int) -> Scalar:
         """Worn depth [m] of a wall (0 or 1) at its lower (-1) or upper (1) end."""

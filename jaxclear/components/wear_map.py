@@ -31,13 +31,13 @@ from jaxclear.components.contact_patch import (
     arc_with_cell,
     block_centre,
     contact_square,
-    depth_lost,
+    depth_loss,
     depth_of,
     entry,
     find_share,
     least_overlap,
     line_contact,
-    line_sunk,
+    line_depth,
     square_width,
     table_rows,
     through,
@@ -88,7 +88,7 @@ class Wearing(AbstractQuantified):
     cells: tuple[int, int] = eqx.field(
         static=True,
         default=(288, 20),
-        converter=lambda given: tuple(given) if isinstance(given, list) else given,
+        converter=lambda value: tuple(value) if isinstance(value, list) else value,
         metadata={"wanted": "2 whole numbers: cells around and along"},
     )
     acceleration: Scalar = quantity(1.0, "1", at_least=0)
@@ -246,7 +246,7 @@ class AbstractSurface(AbstractWearMap):
             return jnp.max(depth)
         around, along = self.cells
         place = jnp.argmax(depth) // along, jnp.argmax(depth) % along
-        here = found = depth[place]
+        here = result = depth[place]
         for axis, ring in ((0, True), (1, False)):
             if self.cells[axis] < 3:
                 continue
@@ -254,16 +254,16 @@ class AbstractSurface(AbstractWearMap):
             at = lambda k, axis=axis: depth[(k, place[1]) if axis == 0 else (place[0], k)]
             before, after = index - self.side, index + self.side
             if ring:
-                left, right = at(before % around), at(after % around)
+                prev, right = at(before % around), at(after % around)
             else:
-                left, right = at(jnp.maximum(before, 0)), at(jnp.minimum(after, along - 1))
-                left = jnp.where(before < 0, 2.0 * here - right, left)
-                right = jnp.where(after >= along, 2.0 * here - left, right)
-            slope, bend = 0.5 * (right - left), 2.0 * here - left - right
+                prev, right = at(jnp.maximum(before, 0)), at(jnp.minimum(after, along - 1))
+                prev = jnp.where(before < 0, 2.0 * here - right, prev)
+                right = jnp.where(after >= along, 2.0 * here - prev, right)
+            slope, bend = 0.5 * (right - prev), 2.0 * here - prev - right
             top = jnp.clip(safe_divide(slope, bend), -0.5, 0.5)
             top = jnp.where(bend > 0, top, 0.5 * jnp.sign(slope))
-            found = found + top * (slope - 0.5 * top * bend) + bend / 24.0
-        return found
+            result = result + top * (slope - 0.5 * top * bend) + bend / 24.0
+        return result
 
     @abstractmethod
     def row_area(self, row: Int[Array, "*rows"]) -> Any:
@@ -282,8 +282,8 @@ class AbstractSurface(AbstractWearMap):
 
         def wide():
             columns = jnp.arange(around)
-            whole = jax.vmap(lambda *event: self._lost(columns, depth, depth, *event)[0])
-            return depth + jnp.sum(whole(volume, features), axis=0)
+            losses = jax.vmap(lambda *event: self._lost(columns, depth, depth, *event)[0])
+            return depth + jnp.sum(losses(volume, features), axis=0)
 
         if width >= around:
             return wide()
@@ -291,35 +291,35 @@ class AbstractSurface(AbstractWearMap):
         def near(*event):
             first = jnp.floor(self.contact(*event).middle).astype(int) - reach
             columns = (first + jnp.arange(width)) % around
-            turned = jnp.roll(depth, -first, axis=0)[:width]
-            lost, touched = self._lost(columns, turned, depth, *event)
+            rolled = jnp.roll(depth, -first, axis=0)[:width]
+            loss, touched = self._lost(columns, rolled, depth, *event)
             inside = (touched.first >= first) & (touched.columns <= width + first - touched.first)
-            spread = jnp.pad(lost, ((0, around - width), (0, 0)))
+            spread = jnp.pad(loss, ((0, around - width), (0, 0)))
             return jnp.roll(spread, first, axis=0), inside | (event[0] == 0)
 
-        lost, inside = jax.vmap(near)(volume, features)
-        narrow = lambda: depth + jnp.sum(lost, axis=0)
+        losses, inside = jax.vmap(near)(volume, features)
+        narrow = lambda: depth + jnp.sum(losses, axis=0)
         # A choice of its own for each sample of a batch would be both branches: the wide one, which
         # costs several times as much, is entered where a sample needs it.
         fits = jnp.all(inside)
         rare = lambda: jnp.where(fits, narrow(), wide())
         return jax.lax.cond(eqxi.unvmap_all(fits), narrow, rare)
 
-    def _lost(self, columns, depth, whole_depth, volume, features):
+    def _lost(self, columns, depth, all_depth, volume, features):
         """(what each cell of some columns, worn so deep [m], loses in an event [m], which cells of
         all the contact may overlap)."""
         contact = self.contact(volume, features)
         shared = jax.tree.map(lambda each: each[:, None], contact.in_columns(columns))
         patch = contact.patch(shared, jnp.arange(self.cells[1]), depth)
-        lost, level = depth_lost(contact, patch, contact.start(whole_depth))
-        return lost, contact.touched(level)
+        loss, level = depth_loss(contact, patch, contact.start(all_depth))
+        return loss, contact.touched(level)
 
     def deposit_in_turn(self, depth, reading, pressures, volume, features):
-        found = [
+        results = [
             find_share(functools.partial(self.contact, *event), event[0], depth, pressure)
             for pressure, *event in zip(pressures, volume, features, strict=True)
         ]
-        shares, pressures = zip(*found, strict=True)
+        shares, pressures = zip(*results, strict=True)
         for (touched, scale), pressure in zip(shares, pressures, strict=True):
 
             def visit(_, place, depth, scale=scale, pressure=pressure):
@@ -387,11 +387,11 @@ class LineContact(NamedTuple):
             + self.steepest * jnp.abs(columns.cosine)
             + SHARPEST * clearance
         )
-        room, fallen = clearance + depth, self.fall * away
-        outline = Outline(columns.cosine, room + fallen * columns.cosine, rounding)
-        nearest = Outline(1.0, room + fallen, self.steepest + SHARPEST * clearance)
+        space, fallen = clearance + depth, self.fall * away
+        outline = Outline(columns.cosine, space + fallen * columns.cosine, rounding)
+        nearest = Outline(1.0, space + fallen, self.steepest + SHARPEST * clearance)
         half = arc_with_cell(self.half_arc, surface.cell)
-        return Patch(outline, nearest, columns.along, half, room, 1.0 - away, self.load.root)
+        return Patch(outline, nearest, columns.along, half, space, 1.0 - away, self.load.root)
 
     def start(self, depth: Float[Array, "around along"]) -> Scalar:
         # At the end that carries.
@@ -420,8 +420,8 @@ class LineContact(NamedTuple):
         reach, middle = self.reach(level) / surface.pitch + 0.5 * wider, self.middle
         first = -jnp.floor(reach - middle)
         nowhere = self.towards[0] ** 2 + self.towards[1] ** 2 < 0.5
-        whole = nowhere | (2.0 * reach + 1.0 >= around)
-        columns = jnp.where(whole, around, jnp.floor(middle + reach) - first + 1.0)
+        everywhere = nowhere | (2.0 * reach + 1.0 >= around)
+        columns = jnp.where(everywhere, around, jnp.floor(middle + reach) - first + 1.0)
         # A row is overlapped, if at all, where level cos + rounding sin is as much as is needed.
         rounding, needed = least_overlap(surface.cell, surface.clearance)
         lowest = jnp.sqrt(needed * needed - rounding * rounding)
@@ -521,7 +521,7 @@ class CylinderMap(AbstractSurface):
         load = line_contact(overlap, self.radius, clearance, touching, half_arc)
         load = load._replace(root=load.root * (1.0 - 0.5 * ends * touching / self.length))
         towards = safe_divide(x, length), safe_divide(y, length)
-        wanted, fallen = volume + load.overlap, jnp.abs(fall) * ends
+        target, fallen = volume + load.overlap, jnp.abs(fall) * ends
         return LineContact(
             self,
             volume,
@@ -533,7 +533,7 @@ class CylinderMap(AbstractSurface):
             end,
             (0.5 / self.cells[1]) * self.coarse_along * jnp.abs(fall),
             load,
-            line_sunk(wanted, self.radius, clearance, self.length, fallen),
+            line_depth(target, self.radius, clearance, self.length, fallen),
         )
 
     def _read_anew(self, touched, depth, reading):
@@ -542,15 +542,15 @@ class CylinderMap(AbstractSurface):
         def visit(_, place, reading):
             column = place[0]
             ends = []
-            for own, (row, inside) in zip(reading, self._edges(), strict=True):
+            for r, (row, inside) in zip(reading, self._edges(), strict=True):
                 last, further = (entry(depth, (column, each)) for each in (row, inside))
-                ends.append(with_entry(own, (column + 2,), _to_the_edge(last, further)))
+                ends.append(with_entry(r, (column + 2,), _to_the_edge(last, further)))
             return tuple(ends)
 
         reading = through(touched, (around, 1), visit, reading, True)
         # The last two columns once more in front of the first, the first two behind the last.
         for to, of in ((0, around), (1, around + 1), (around + 2, 2), (around + 3, 3)):
-            reading = tuple(with_entry(own, (to,), entry(own, (of,))) for own in reading)
+            reading = tuple(with_entry(r, (to,), entry(r, (of,))) for r in reading)
         return reading
 
     def reading(self, depth):
@@ -572,20 +572,20 @@ class CylinderMap(AbstractSurface):
         """Worn depth at the direction (x, y) of the row at the lower (-1) or upper (1) end, in
         metres.
         """
-        around, own = self.cells[0], reading[0 if end < 0 else -1]
+        around, row = self.cells[0], reading[0 if end < 0 else -1]
         position = direction_angle(x, y) * (around / (2 * math.pi) / self.coarseness) - 0.5
         nearest = jnp.round(position)
         # A turn once at most, as a number: a remainder of whole numbers costs more.
         column = nearest * jnp.floor(self.coarseness)
         column = jnp.where(column < 0, column + around, column)
         here, side = column.astype(int) + 2, self.side
-        return spline(position - nearest, *(entry(own, (here + k * side,)) for k in (-1, 0, 1)))
+        return spline(position - nearest, *(entry(row, (here + k * side,)) for k in (-1, 0, 1)))
 
 
-def spline(place: Scalar, left: Scalar, here: Scalar, right: Scalar) -> Scalar:
+def spline(place: Scalar, prev: Scalar, here: Scalar, right: Scalar) -> Scalar:
     """A quadratic B-spline at a place, in cells from the nearest of three."""
-    curvature = 0.5 * (left + right) - here
-    return 0.125 * (left + 6.0 * here + right) + place * (0.5 * (right - left) + place * curvature)
+    curvature = 0.5 * (prev + right) - here
+    return 0.125 * (prev + 6.0 * here + right) + place * (0.5 * (right - prev) + place * curvature)
 
 
 def _to_the_edge(last: Array, inside: Array) -> Array:

@@ -229,8 +229,8 @@ def _on_coarser_cells(
 ) -> Trajectory | None:
     """The run on worn surfaces whose cells are twice as wide; None where none has cells that a loss
     is shared among, or the run fails so."""
-    maps = [own for joint in wearing_in(run.mechanism).values() for own, _ in joint.maps().values()]
-    if not any(math.prod(own.cells) > 1 for own in maps):
+    maps = [m for joint in wearing_in(run.mechanism).values() for m, _ in joint.maps().values()]
+    if not any(math.prod(m.cells) > 1 for m in maps):
         return None
     coarser = repeated(Replica(integrator, np.asarray(run.time), coarseness=2.0))
     return coarser if coarser.succeeded else None

@@ -104,10 +104,10 @@ def places_in_words(where: Callable[[Mechanism], Any], mechanism: Mechanism) -> 
     marked = jax.tree.unflatten(structure, marks)
     paths = [path for path, _ in jax.tree_util.tree_leaves_with_path(mechanism)]
     by_mark = {id(mark): path for mark, path in zip(marks, paths, strict=True)}
-    marks_found = jax.tree.leaves(where(marked))
-    if not marks_found or any(id(mark) not in by_mark for mark in marks_found):
+    flags = jax.tree.leaves(where(marked))
+    if not flags or any(id(mark) not in by_mark for mark in flags):
         raise ValueError("its `where` computes something instead of pointing at numbers.")
-    return tuple(_in_words(by_mark[id(mark)]) for mark in marks_found)
+    return tuple(_in_words(by_mark[id(mark)]) for mark in flags)
 
 
 class _Mark:

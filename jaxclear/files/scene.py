@@ -455,9 +455,9 @@ def _check_response(response: Any, mechanism: Mechanism, node: Node, name: str) 
     """That a response asks about a joint and a body that there are."""
     parts: dict[str, Mapping[str, Any]] = {"joint": mechanism.connections, "body": mechanism.bodies}
     for what, names in parts.items():
-        name_asked = getattr(response, what, None)
-        if isinstance(name_asked, str) and name_asked not in names:
-            sentence = unknown(what, name_asked, names, " in this mechanism")
+        name_of = getattr(response, what, None)
+        if isinstance(name_of, str) and name_of not in names:
+            sentence = unknown(what, name_of, names, " in this mechanism")
             raise misread(node, f'responses["{name}"]', sentence)
 
 

@@ -28,7 +28,7 @@ from jaxclear.integrators.base import SLIVER, AbstractIntegrator
 from jaxclear.integrators.checks import Outcome
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.state import impact_speed_places, names
-from jaxclear.multibody.topology import coordinate_units, own_numbers
+from jaxclear.multibody.topology import coordinate_units, numbers_of_parts
 from jaxclear.native.standalone import Standalone, standalone
 from jaxclear.native.writer import Unsupported
 from jaxclear.results.response import unit_of
@@ -131,18 +131,18 @@ class Unit:
         self.units[name] = f"{units.pop()}{per}" if len(units) == 1 and per is not None else ""
         return lambda run: getattr(run, what)(joint)[-1]
 
-    def _with_others(self, seen: Mechanism, integrator: AbstractIntegrator) -> AbstractIntegrator:
+    def _with_others(self, view: Mechanism, integrator: AbstractIntegrator) -> AbstractIntegrator:
         """The integrator in a form that those in other steps have, too, by which its slopes are
         judged. Raises `ValueError` where they are not those of the motion."""
-        why = refusal(seen, integrator)
+        why = refusal(view, integrator)
         if why:
             raise ValueError(f"slopes of this FMU would not be those of the motion: {why}.")
-        if not is_compared(seen, integrator):
+        if not is_compared(view, integrator):
             return integrator
         step, times = integrator.asked_step(), np.array([0.0, self.interval])
         shares: Sequence[float] = (HALF,)
         if step is not None:
-            self.order = order_of(seen, integrator)
+            self.order = order_of(view, integrator)
             many = np.ceil(self.interval / float(step) * (1 - SLIVER)) >= FEWEST
             shares = (LONGER if many else SHORTER)[self.order]
         self.others = [in_other_steps(integrator, jnp.asarray(x), times) for x in shares]
@@ -159,7 +159,7 @@ class Unit:
 
     def _number(self, kind: str, name: str, where: Any) -> Variable:
         leaf, by_name = None if isinstance(where, str) else where(self.mechanism), where
-        rows = own_numbers(self.mechanism)
+        rows = numbers_of_parts(self.mechanism)
         matches = [row for row in rows if row[0] == by_name or row[1] is leaf]
         if len(matches) != 1 or np.ndim(matches[0][1]):
             raise ValueError(NO_NUMBER.format(kind=kind, name=name))
@@ -296,16 +296,16 @@ class Unit:
         lines = [f"#define {key} {value}" for key, value in sizes.items()]
         return "\n".join([*lines, *(array(key, values) for key, values in arrays.items())])
 
-    def _add_exchange(self, whole: Trajectory) -> str:
+    def _add_exchange(self, trajectory: Trajectory) -> str:
         """Makes the rate of the state; what C is told of it. Raises `ValueError`."""
-        layout, system = whole.history.layout(), whole.history.model().system
+        layout, system = trajectory.history.layout(), trajectory.history.model().system
         why = {
             "the forces of this integrator are means over its steps": (
-                whole.formulation.forces_are_means
+                trajectory.formulation.forces_are_means
             ),
             "a load or coupling has states of its own": layout.states or layout.plays,
             "a load is sampled": sampled_loads(system),
-            "loops are closed anew after each step": whole.mechanism.projects,
+            "loops are closed anew after each step": trajectory.mechanism.projects,
         }
         for reason, holds in why.items():
             if holds:

@@ -45,16 +45,16 @@ def closed(model: Model, time: Any, state: State, length: Any = None) -> State:
     system, layout, entries = model.system, model.layout, model.entries(state)
     q, v = entries[: layout.coordinates], entries[layout.coordinates : layout.memory_start]
     motions = kinematics.link_motions(system, *unpack_motion(system, [*q, *v]), time)
-    found = [constraints.constraint_rows(system, motions, closure) for closure in system.closures]
-    rows = [row for closure in found for row in closure.jacobian]
+    result = [constraints.constraint_rows(system, motions, closure) for closure in system.closures]
+    rows = [row for closure in result for row in closure.jacobian]
     subtrees = (
         kinematics.by_subtree(subtree, system.links, motions)
         for subtree in system.topology.subtrees
     )
     masses = [tree.mass_matrix(*subtree) for subtree in subtrees]
-    alike = constraints.rows_alike(system, found)
-    depend = constraints.dependence(system, found)
-    _, constrain = dynamics.constrained_inverse(masses, rows, alike, depend)
+    same = constraints.rows_alike(system, result)
+    depend = constraints.dependence(system, result)
+    _, constrain = dynamics.constrained_inverse(masses, rows, same, depend)
 
     fast = None if length is None else MOST * safe_sqrt(_squared(masses, v))
 
@@ -66,13 +66,13 @@ def closed(model: Model, time: Any, state: State, length: Any = None) -> State:
             return moves
         most = sp.mul(time, fast)
         # Twice the energy of a change is what it closes times its multipliers.
-        beside = safe_divide(abs(sp.dot(multipliers, residuals)), most * most)
-        share = constant(1.0 / (1.0 + beside * beside))
+        relative = safe_divide(abs(sp.dot(multipliers, residuals)), most * most)
+        share = constant(1.0 / (1.0 + relative * relative))
         # At the position itself nothing is a number.
         return [jnp.where(share > 0, sp.mul(share, x), 0.0) for x in moves]
 
-    residuals = [x for closure in found for x in closure.residuals]
-    rates = [x for closure in found for x in closure.rates]
+    residuals = [x for closure in result for x in closure.residuals]
+    rates = [x for closure in result for x in closure.rates]
     v = [sp.add(x, d) for x, d in zip(v, change(rates, 1), strict=True)]
     q = drift(system, q, q, change(residuals, length), 1.0)
     return sp.stack([*q, *v, *entries[layout.memory_start :]])
@@ -80,9 +80,9 @@ def closed(model: Model, time: Any, state: State, length: Any = None) -> State:
 
 def _squared(masses: list, v: list) -> Any:
     """The square of speeds in the metric of the masses, twice their kinetic energy [J]."""
-    found, first = [], 0
+    result, first = [], 0
     for mass in masses:
-        own = v[first : first + len(mass)]
+        part = v[first : first + len(mass)]
         first += len(mass)
-        found += [sp.mul(x, sp.dot(row, own)) for x, row in zip(own, mass, strict=True)]
-    return sp.total(found)
+        result += [sp.mul(x, sp.dot(row, part)) for x, row in zip(part, mass, strict=True)]
+    return sp.total(result)

@@ -58,12 +58,12 @@ class DelassusOperator(NamedTuple):
             pairs of inverse masses [1/kg], a list.
         """
         diagonal = [along(row, self.responses[i][0]) for i, row in enumerate(self.rows)]
-        found, first = [], 0
+        result, first = [], 0
         for directions in contacts:
             across = diagonal[first + 1 : first + 1 + directions]
-            found.append((diagonal[first], sp.total(across) / max(directions, 1)))
+            result.append((diagonal[first], sp.total(across) / max(directions, 1)))
             first += 1 + directions
-        return found
+        return result
 
     def under(self, forces: list) -> tuple[list, tuple]:
         """What forces (or impulses) along the rows add to the motion.
@@ -173,8 +173,8 @@ def implicit_contact(
     if rows and not free_motion.closures.rows and len(rows) >= size:
         operator = delassus_operator(free_motion, [])
         mass = _whole(free_motion.masses)
-        way = _in_speeds if size < MANY else _in_many_speeds
-        return ImplicitContact(operator.free, operator.multipliers, way(mass, rows))
+        direction = _in_speeds if size < MANY else _in_many_speeds
+        return ImplicitContact(operator.free, operator.multipliers, direction(mass, rows))
     operator = delassus_operator(free_motion, rows)
     if rows:
         in_rows = _in_rows if len(rows) < MANY else _in_many_rows
@@ -211,12 +211,12 @@ def _in_speeds(mass: list, rows: list[JacobianRow]) -> Callable:
         for row, force in zip(rows, laws.at(unmoved), strict=True):
             for j, entry in row.items():
                 right[j] = sp.add(right[j], sp.mul(entry, force))
-        found = list(factorisation.solve(factorisation.factor(matrix), tuple(right)))
+        result = list(factorisation.solve(factorisation.factor(matrix), tuple(right)))
         rates = [
-            sp.add(u, sp.mul(along(row, found), reach))
+            sp.add(u, sp.mul(along(row, result), reach))
             for u, row, reach in zip(unmoved, rows, reaches, strict=True)
         ]
-        return ContactSolution(rates, laws.at(rates), found, ())
+        return ContactSolution(rates, laws.at(rates), result, ())
 
     return solve
 
@@ -230,28 +230,28 @@ def _in_many_speeds(mass: list[list], rows: list[JacobianRow]) -> Callable:
     """The same from array to array."""
     size, entries = len(mass), Entries(rows)
     lower = [(i, j) for i in range(size) for j in range(i + 1) if not sp.is_zero(mass[i][j])]
-    own, first, pairs = stacked([mass[i][j] for i, j in lower]), 0, []
+    part, first, pairs = stacked([mass[i][j] for i, j in lower]), 0, []
     for r, row in enumerate(rows):
         each = list(enumerate(row, first))
         pairs += [(r, a, b, (i, j)) for a, i in each for b, j in each if j <= i]
         first += len(row)
-    of_row, left, right, squared = map(list, zip(*pairs, strict=True))
+    of_row, rest, right, squared = map(list, zip(*pairs, strict=True))
     number = {place: k for k, place in enumerate(dict.fromkeys([*lower, *squared]))}
     places = np.array([number[place] for place in [*lower, *squared]])
     values = entries.values
-    squares = looked_up(values, np.array(left)) * looked_up(values, np.array(right))
+    squares = looked_up(values, np.array(rest)) * looked_up(values, np.array(right))
     pattern = Pattern(size, tuple(number))
 
     def solve(reaches, unmoved, laws):
         unmoved, reach, forces, dampings, about = map(stacked, (unmoved, reaches, *laws))
         weights = looked_up(reach * dampings, np.array(of_row))
-        matrix = summed(jnp.concatenate([own, squares * weights]), places, len(number))
+        matrix = summed(jnp.concatenate([part, squares * weights]), places, len(number))
         pushed = values * looked_up(forces + dampings * (about - unmoved), entries.rows)
-        found = solved(pattern, matrix, None, summed(pushed, entries.columns, size))
-        moved = values * looked_up(found, entries.columns)
+        result = solved(pattern, matrix, None, summed(pushed, entries.columns, size))
+        moved = values * looked_up(result, entries.columns)
         rates = unmoved + reach * summed(moved, entries.rows, len(rows))
         final = forces + dampings * (about - rates)
-        return ContactSolution(*map(unstacked, (rates, final, found)), ())
+        return ContactSolution(*map(unstacked, (rates, final, result)), ())
 
     return solve
 
@@ -273,10 +273,10 @@ def _in_rows(operator: DelassusOperator) -> Callable:
             [sp.add(sp.mul(gains[i][j], roots[i] * roots[j]), int(i == j)) for j in range(count)]
             for i in range(count)
         ]
-        held = moved(unmoved, reaches, laws.forces)
+        fixed = moved(unmoved, reaches, laws.forces)
         right = tuple(
             root / reach * sp.sub(a, u)
-            for root, reach, a, u in zip(roots, reaches, laws.about, held, strict=True)
+            for root, reach, a, u in zip(roots, reaches, laws.about, fixed, strict=True)
         )
         shares = factorisation.solve(factorisation.factor(matrix), right)
         final = [
@@ -308,8 +308,8 @@ def _in_many_rows(operator: DelassusOperator) -> Callable:
     pattern = {(i, i): i for i in range(count)}
     for *_, place in pairs:
         pattern.setdefault(place, len(pattern))
-    left, right, places = np.array([(a, b, pattern[place]) for a, b, place in pairs]).T
-    products = looked_up(acting.values, left) * looked_up(moved.values, right)
+    rest, right, places = np.array([(a, b, pattern[place]) for a, b, place in pairs]).T
+    products = looked_up(acting.values, rest) * looked_up(moved.values, right)
     gains = summed(products, places, len(pattern))
     lower, upper = np.array(list(pattern)).T
     ones = (lower == upper).astype(float)
@@ -325,12 +325,12 @@ def _in_many_rows(operator: DelassusOperator) -> Callable:
         unmoved, reach, forces, dampings, about = map(stacked, (unmoved, reaches, *laws))
         roots = safe_sqrt(dampings * reach)
         matrix = gains * looked_up(roots, lower) * looked_up(roots, upper) + ones
-        wanted = roots / reach * (about - answered(unmoved, reach, forces))
-        final = forces + roots * solved(Pattern(count, tuple(pattern)), matrix, None, wanted)
-        found = summed(moved.values * looked_up(final, moved.rows), moved.columns, size)
-        rates, final, found = map(unstacked, (answered(unmoved, reach, final), final, found))
+        target = roots / reach * (about - answered(unmoved, reach, forces))
+        final = forces + roots * solved(Pattern(count, tuple(pattern)), matrix, None, target)
+        result = summed(moved.values * looked_up(final, moved.rows), moved.columns, size)
+        rates, final, result = map(unstacked, (answered(unmoved, reach, final), final, result))
         multipliers = [entries for _, entries in operator.responses]
-        added = tuple(sp.dot(final, own) for own in zip(*multipliers, strict=True))
-        return ContactSolution(rates, final, found, added)
+        added = tuple(sp.dot(final, part) for part in zip(*multipliers, strict=True))
+        return ContactSolution(rates, final, result, added)
 
     return solve

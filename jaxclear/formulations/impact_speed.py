@@ -56,10 +56,10 @@ def at_touch(before: ContactMotion, after: ContactMotion, length: Scalar) -> Per
     the normal turns) the first term alone. Where the indentation does not pass through 0 the speed
     of the nearer end.
     """
-    way = after.depths - before.depths
-    share = jnp.clip(safe_divide(-before.depths, way), 0.0, 1.0)
+    direction = after.depths - before.depths
+    share = jnp.clip(safe_divide(-before.depths, direction), 0.0, 1.0)
     early, late = before.rates * before.rates, after.rates * after.rates
-    mean = (1.0 / length) * way
+    mean = (1.0 / length) * direction
     # Of a tiny step the way is rounding beside the place, and its rates tell that it is straight.
     most = jnp.abs(after.rates - before.rates)
     remainder = jnp.clip(mean - 0.5 * (before.rates + after.rates), -most, most)
@@ -88,8 +88,8 @@ def bends(path: tuple) -> tuple[Array, Array]:
 def _powers(path: tuple) -> tuple[Array, Array]:
     """The cubic's coefficients of the second and third power."""
     first, last, leaving, arriving = path
-    way = last - first
-    return 3 * way - 2 * leaving - arriving, leaving + arriving - 2 * way
+    direction = last - first
+    return 3 * direction - 2 * leaving - arriving, leaving + arriving - 2 * direction
 
 
 class Passage(NamedTuple):
@@ -100,10 +100,10 @@ class Passage(NamedTuple):
     after: ContactMotion
 
 
-def passage(path: tuple, level: Scalar, last: Array, wanted: Any = None) -> Array:
+def passage(path: tuple, level: Scalar, last: Array, target: Any = None) -> Array:
     """The share of the step at which the cubic passes a level between its start and the share
     `last`, on whose other side it is there. Newton's method, halving where he leaves the
-    bracket: in flight it is all but straight. Where it is not `wanted` nothing is searched for;
+    bracket: in flight it is all but straight. Where it is not `target` nothing is searched for;
     None stands for always, and has derivatives in reverse mode too."""
     low, high = jnp.zeros_like(last), last
     first, there = path[0] - level, cubic(path, last)[0] - level
@@ -117,22 +117,22 @@ def passage(path: tuple, level: Scalar, last: Array, wanted: Any = None) -> Arra
         inside = (newton >= low) & (newton <= high)
         return low, high, jnp.where(inside, newton, 0.5 * (low + high))
 
-    found = low, high, share
-    if wanted is None:
+    out = low, high, share
+    if target is None:
         for _ in range(STEPS):
-            found = one(*found)
-        return found[2]
-    turns = jnp.where(wanted, STEPS, 0)
+            out = one(*out)
+        return out[2]
+    turns = jnp.where(target, STEPS, 0)
     turn = lambda carry: (carry[0] + 1, *one(*carry[1:]))
-    return jax.lax.while_loop(lambda carry: carry[0] < turns, turn, (jnp.zeros((), int), *found))[3]
+    return jax.lax.while_loop(lambda carry: carry[0] < turns, turn, (jnp.zeros((), int), *out))[3]
 
 
 def passed(path: tuple, share: Array) -> Array:
     """A share of the step at which the cubic passes 0, with its derivative by the path."""
 
     def late(numbers, tangents):
-        (path, share), (ways, _) = numbers, jax.tree.map(moved, tangents)
-        return -safe_divide(cubic(ways, share)[0], cubic(path, share)[1])
+        (path, share), (directions, _) = numbers, jax.tree.map(moved, tangents)
+        return -safe_divide(cubic(directions, share)[0], cubic(path, share)[1])
 
     return derived(lambda path, share: moving_with(path[1], share), late)(path, constant(share))
 
@@ -173,8 +173,8 @@ def end_at_passage(
     last = jnp.where(soon, summit_early, summit_late)
     within = passage(path, 0.5 * beyond, last, jnp.any(soon | then))
     shares = jnp.maximum(0.5 * (within + jnp.where(soon, 0.0, 1.0)), safe_divide(least, length))
-    told = (soon | then) & ((1 - shares) * length > least)
-    return jnp.min(jnp.where(told, shares, 1.0), initial=1.0)
+    report = (soon | then) & ((1 - shares) * length > least)
+    return jnp.min(jnp.where(report, shares, 1.0), initial=1.0)
 
 
 def summit(path: tuple) -> Array:
@@ -230,17 +230,17 @@ def put_right(
     model, now, (before, after), length = constant((model, now, motions, step[0]))
     changed = (before.depths < 0) != (after.depths < 0)
 
-    def found(_):
+    def solve(_):
         nodes, weights = step[1]
-        way = after.depths - before.depths
-        share = jnp.clip(safe_divide(-before.depths, way), 0.0, 1.0)
+        direction = after.depths - before.depths
+        share = jnp.clip(safe_divide(-before.depths, direction), 0.0, 1.0)
         early = (jnp.asarray(nodes)[:, None] < share).astype(float)
         amiss = length * (share - jnp.asarray(weights) @ early)
         # Of a touch the time before it is apart, of a release it is in contact.
         amiss = jnp.where(changed, jnp.where(after.depths < 0, amiss, -amiss), 0.0)
         return _moves(model, now[1], formulation.slips(model, *now), amiss)
 
-    return state + apply_if(jnp.any(changed), found, jnp.zeros_like(now[1]))
+    return state + apply_if(jnp.any(changed), solve, jnp.zeros_like(now[1]))
 
 
 def _moves(model: Model, state: State, slips: Any, amiss: Any) -> Any:
@@ -249,15 +249,15 @@ def _moves(model: Model, state: State, slips: Any, amiss: Any) -> Any:
     memories = unpack_memories(model.layout, model.entries(state))
     for name, kinds in model.layout.memories:
         laws = model.system.bearings[name].contact_laws
-        for (remembers, count), own, memory in zip(kinds, laws, memories[name], strict=True):
+        for (remembers, count), law, memory in zip(kinds, laws, memories[name], strict=True):
             place += remembers
             if count:
                 slip = tuple(slips[k, i] for i in range(count))
-                closed, apart = (
-                    own.friction.tractions(normal, memory.bristles, slip, slip_speed(slip))[1]
+                closed, gap = (
+                    law.friction.tractions(normal, memory.bristles, slip, slip_speed(slip))[1]
                     for normal in (1.0, 0.0)
                 )
                 for i in range(count):
-                    entries[place + i] = amiss[k] * (closed[i] - apart[i])
+                    entries[place + i] = amiss[k] * (closed[i] - gap[i])
             place, k = place + count, k + 1
     return jnp.stack([jnp.asarray(each, float) for each in entries])

@@ -67,7 +67,7 @@ def _carried(joints, response: FrictionResponse) -> Callable:
 
 
 def set_valued_friction(
-    held, slips, before, ahead, h, mass, response: FrictionResponse
+    fixed, slips, before, ahead, h, mass, response: FrictionResponse
 ) -> JointFriction:
     """Coulomb's law at the end of a step of length h [s]; `slips` of each joint, `before` and
     `ahead`: by how much the speeds at the step's start, and those at its end without friction,
@@ -77,7 +77,7 @@ def set_valued_friction(
     would turn round.
     """
     ratios: list[Any] = []
-    for joint, sliding in zip((one.joint for one in held), slips, strict=True):
+    for joint, sliding in zip((one.joint for one in fixed), slips, strict=True):
         if joint.friction is None:
             ratios.append(None)
             continue
@@ -91,18 +91,18 @@ def set_valued_friction(
         pair = (jnp.where(slip[0] > 0, against, caught), jnp.where(slip[0] < 0, against, caught))
         ratios.append(pair)
     # What friction in each joint adds to each joint's slip at the step's end.
-    rates = [each for own in slips for each in own]
+    rates = [each for part in slips for each in part]
     delassus = [
         [h * along(each.row, unit.accelerations) for unit in response.units] for each in rates
     ]
     # A joint that drives move slides whatever friction does (only rounding, of either sign,
     # answers): there it is full.
     softest = [
-        UNMOVED * h * one.joint.arm**2 / mass for one in held for _ in range(one.joint.components)
+        UNMOVED * h * one.joint.arm**2 / mass for one in fixed for _ in range(one.joint.components)
     ]
-    carried = _carried([one.joint for one in held], response)
+    carried = _carried([one.joint for one in fixed], response)
     free = [each.at(ahead) for each in rates]
-    return JointFriction(delassus, free, tuple(ratios), carried, softest, placed(held))
+    return JointFriction(delassus, free, tuple(ratios), carried, softest, placed(fixed))
 
 
 def with_rows_of_loads(
@@ -135,7 +135,7 @@ def with_rows_of_loads(
     rules += [(rub.bound, rub.bound) for rub in loads.rubs]
     joints = len(problem.ratios)
     alone = [(1.0, 0.0, 0.0)]
-    carried = lambda k, *given: problem.carried(k, *given) if k < joints else alone
+    carried = lambda k, *values: problem.carried(k, *values) if k < joints else alone
     places = [problem.place(k) for k in range(joints)]
     places += [slice(first + k, first + k + 1) for k in range(len(moves))]
     softest = [problem.softest[i] for i in range(first)] + [0.0] * len(moves)
@@ -169,29 +169,29 @@ def moved_to_stops(
     matrix, rules, gaps = [], [], [-x for x in beyond]
     for k, stop in enumerate(loads.stops):
         matrix.append([h * along(rows[k], unit.accelerations) for unit in units[: len(rows)]])
-        held = forces[k] > 0
+        is_fixed = forces[k] > 0
         if stop.side.stop.restitution is None:
-            held = held & ~stop.followed(matrix[k][k] / h, h)
+            is_fixed = is_fixed & ~stop.followed(matrix[k][k] / h, h)
             back = 1 + stop.restitution(matrix[k][k] / h)
             struck = back * positive_part(-stop.opening.value) / matrix[k][k]
             gaps[k] = gaps[k] + positive_part(forces[k] - struck) / stop.side.stop.stiffness
-        most = jnp.where(held, jnp.inf, 0.0)
+        most = jnp.where(is_fixed, jnp.inf, 0.0)
         rules.append(Between(-most, most))
     alone = lambda *_: [(1.0, 0.0, 0.0)]
     problem = JointFriction(matrix, gaps, tuple(rules), alone, [0.0] * len(rows))
-    found = SETTINGS.solver().iterate(problem).z
-    each = list(zip([h * found[k] for k in range(len(rows))], units, strict=False))
-    way = [sp.total(x * unit.accelerations[j] for x, unit in each) for j in range(len(free))]
-    lost = sp.total(x * along(row, free) for (x, _), row in zip(each, rows, strict=True))
-    return way, lost
+    result = SETTINGS.solver().iterate(problem).z
+    each = list(zip([h * result[k] for k in range(len(rows))], units, strict=False))
+    direction = [sp.total(x * unit.accelerations[j] for x, unit in each) for j in range(len(free))]
+    loss = sp.total(x * along(row, free) for (x, _), row in zip(each, rows, strict=True))
+    return direction, loss
 
 
-def regularised_friction(held, speeds, response: FrictionResponse) -> JointFriction:
+def regularised_friction(fixed, speeds, response: FrictionResponse) -> JointFriction:
     """Laws that are functions of the sliding speed, here at the middle of the step: friction's
     share of the load is known, and a box without width holds it there.
     """
     ratios: list[Any] = []
-    for one, speed in zip(held, speeds, strict=True):
+    for one, speed in zip(fixed, speeds, strict=True):
         law, slip = one.joint.friction, speed
         if law is None:
             ratios.append(None)
@@ -209,9 +209,9 @@ def regularised_friction(held, speeds, response: FrictionResponse) -> JointFrict
             continue
         against = -jnp.sign(slip[0]) * share(jnp.abs(slip[0]))
         ratios.append((-against, against))
-    places = placed(held)
-    count = sum(one.joint.components for one in held)
-    none, joints = jnp.zeros(len(response.units)), [one.joint for one in held]
+    places = placed(fixed)
+    count = sum(one.joint.components for one in fixed)
+    none, joints = jnp.zeros(len(response.units)), [one.joint for one in fixed]
     carried = _carried(joints, response)
     free = [none] * count
     return JointFriction(free, none, tuple(ratios), carried, jnp.ones(count), places)
@@ -237,28 +237,28 @@ def rubbing(model: Model, forces: Forces, q: tuple) -> Rubbing:
     """The friction of ideal joints under these forces, at coordinates `q`.
     It is no number where friction and reactions drive each other up without end (self-locking)."""
     system = model.system
-    held = touching(system)
-    slips = [sliding_speeds(system, forces.motions, one) for one in held]
+    fixed = touching(system)
+    slips = [sliding_speeds(system, forces.motions, one) for one in fixed]
     response = friction_response(model, forces, q)
-    problem = regularised_friction(held, slips, response)
-    friction, left, _ = SETTINGS.solver().iterate(problem)
-    friction = jnp.where(left > LOOSE, jnp.nan, friction)
+    problem = regularised_friction(fixed, slips, response)
+    friction, rest, _ = SETTINGS.solver().iterate(problem)
+    friction = jnp.where(rest > LOOSE, jnp.nan, friction)
     answer = response.at(friction)
     solution = link_accelerations(system, answer.accelerations, answer.multipliers)
-    speeds = [x for own in slips for x in own]
+    speeds = [x for slip in slips for x in slip]
     return Rubbing(with_friction(system, forces, friction), solution, answer, friction, speeds)
 
 
 def solved(model: Model, forces: Forces, q: tuple) -> tuple[Forces, Solution, Passive]:
     """(what acts, accelerations, what joints that rub wear and lose): the equations of motion
     solved, friction of ideal joints included."""
-    held = touching(model.system)
-    if not held:
+    fixed = touching(model.system)
+    if not fixed:
         solution = dynamics.forward_dynamics(model.system, forces, model.stabilisation)
         return forces, solution, Passive()
-    found = rubbing(model, forces, q)
-    passive = passive_of(model, found.forces, q, found.answer, found.friction, found.slips)
-    return found.forces, found.solution, passive
+    result = rubbing(model, forces, q)
+    passive = passive_of(model, result.forces, q, result.answer, result.friction, result.slips)
+    return result.forces, result.solution, passive
 
 
 def passive_of(
@@ -266,33 +266,33 @@ def passive_of(
 ) -> Passive:
     """What joints that rub wear, lose and press with, by their reactions and friction [N] at these
     sliding speeds [m/s]."""
-    held = touching(model.system)
+    fixed = touching(model.system)
     ends = ends_that_wear(model.system, answer, friction)
     rates = wear_rates(model, forces.motions, q, ends, slips)
-    lost, driven = friction_losses(held, friction, slips)
-    parts = zip(held, answer.reactions, placed(held), strict=True)
-    pressed = [pressing(one, own, own_part(friction, place)) for one, own, place in parts]
-    return Passive(rates, lost, driven, pressed)
+    loss, driven = friction_losses(fixed, friction, slips)
+    parts = zip(fixed, answer.reactions, placed(fixed), strict=True)
+    pressed = [pressing(one, part, own_part(friction, place)) for one, part, place in parts]
+    return Passive(rates, loss, driven, pressed)
 
 
-def friction_losses(held: tuple[PermanentJoint, ...], friction: Any, slips: list) -> tuple:
+def friction_losses(fixed: tuple[PermanentJoint, ...], friction: Any, slips: list) -> tuple:
     """(power [W] lost to friction [N] in joints that slide at these speeds [m/s], the part of it
     that drives give)."""
     powers = [sp.neg(sp.mul(friction[k], slip)) for k, slip in enumerate(slips)]
-    places = zip(held, placed(held), strict=True)
+    places = zip(fixed, placed(fixed), strict=True)
     driven = [powers[place.start] for one, place in places if one.driven]
     return sp.total(powers), sp.total(driven)
 
 
 def contact(instant: Instant, forces: Forces, name: str) -> ContactReport:
     """How an ideal joint rubs at an instant, under the `forces` without its friction."""
-    found = rubbing(instant.model, forces, instant.q)
+    result = rubbing(instant.model, forces, instant.q)
     joints = touching(instant.model.system)
     places = placed(joints)
-    for k, held in enumerate(joints):
-        if held.name == name:
+    for k, joint in enumerate(joints):
+        if joint.name == name:
             return report(
-                instant, held, found.answer.reactions[k], tuple(found.friction[places[k]])
+                instant, joint, result.answer.reactions[k], tuple(result.friction[places[k]])
             )
     raise KeyError(name)
 

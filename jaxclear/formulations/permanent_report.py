@@ -28,24 +28,24 @@ from jaxclear.multibody.system import System
 
 
 def carrying_ends(
-    held: PermanentJoint, reaction: Reaction, friction: Any
+    joint: PermanentJoint, reaction: Reaction, friction: Any
 ) -> tuple[CarryingEnd, ...]:
     """Where a reaction and friction [N] (of a ball three components) are carried."""
-    if held.joint.components > 1:
-        none = (0.0,) * held.joint.components
-        load = carried_load(held.joint.carrying_ends(*reaction, none))
-        return held.joint.carrying_ends(*reaction, tuple(safe_divide(x, load) for x in friction))
-    return held.joint.carrying_ends(*reaction, _share(held, reaction, friction))
+    if joint.joint.components > 1:
+        none = (0.0,) * joint.joint.components
+        load = carried_load(joint.joint.carrying_ends(*reaction, none))
+        return joint.joint.carrying_ends(*reaction, tuple(safe_divide(x, load) for x in friction))
+    return joint.joint.carrying_ends(*reaction, _share(joint, reaction, friction))
 
 
-def _share(held: PermanentJoint, reaction: Reaction, friction: Any) -> Any:
+def _share(joint: PermanentJoint, reaction: Reaction, friction: Any) -> Any:
     """Friction beside the load that it adds to: two turns, and where they lead (Steffensen's
     extrapolation; the load is linear in the share until an end changes its side)."""
-    if held.joint.friction is None:
+    if joint.joint.friction is None:
         return 0.0 * friction
 
     def better(share):
-        return safe_divide(friction, carried_load(held.joint.carrying_ends(*reaction, share)))
+        return safe_divide(friction, carried_load(joint.joint.carrying_ends(*reaction, share)))
 
     first = better(0.0 * friction)
     second = better(first)
@@ -54,9 +54,9 @@ def _share(held: PermanentJoint, reaction: Reaction, friction: Any) -> Any:
     return third - safe_divide(step * step, change)
 
 
-def pressing(held: PermanentJoint, reaction: Reaction, friction: Any) -> Any:
+def pressing(joint: PermanentJoint, reaction: Reaction, friction: Any) -> Any:
     """Sum of the normal forces [N] of a joint's contacts."""
-    ends = carrying_ends(held, reaction, friction)
+    ends = carrying_ends(joint, reaction, friction)
     return sp.total(contact.normal_force for end in ends for contact in end.contacts)
 
 
@@ -73,32 +73,32 @@ def friction_of(instant: Instant, name: str) -> list:
 
 def report_of_means(instant: Instant, name: str) -> ContactReport:
     """How a joint rubs at a saved instant whose state holds impulses."""
-    (held,) = (one for one in touching(instant.model.system) if one.name == name)
+    (fixed,) = (one for one in touching(instant.model.system) if one.name == name)
     means = [jnp.asarray(x) for x in instant.means_of(name)]
     reaction = Reaction(tuple(means[:3]), tuple(means[3:REACTION]))
-    return report(instant, held, reaction, tuple(means[REACTION:-1]))
+    return report(instant, fixed, reaction, tuple(means[REACTION:-1]))
 
 
 def report(
-    instant: Instant, held: PermanentJoint, reaction: Reaction, friction: tuple
+    instant: Instant, fixed: PermanentJoint, reaction: Reaction, friction: tuple
 ) -> ContactReport:
     """How a joint carries its reaction and the components of its friction [N] at an instant."""
-    joint = held.joint
-    ends = carrying_ends(held, reaction, own_part(friction, slice(0, len(friction))))
-    found = sorted((c for end in ends for c in end.contacts), key=lambda c: c.number)
-    slips = tuple(sliding_speeds(instant.model.system, instant.motions, held))
-    sliding = [slid(joint, slips if len(slips) > 1 else slips[0], c.place) for c in found]
+    joint = fixed.joint
+    ends = carrying_ends(fixed, reaction, own_part(friction, slice(0, len(friction))))
+    result = sorted((c for end in ends for c in end.contacts), key=lambda c: c.number)
+    slips = tuple(sliding_speeds(instant.model.system, instant.motions, fixed))
+    sliding = [slid(joint, slips if len(slips) > 1 else slips[0], c.place) for c in result]
     offset, axis = _offset_and_axis(ends)
-    place = (instant.model.system, instant.motions, held.name, instant.time, instant.followed)
+    place = (instant.model.system, instant.motions, fixed.name, instant.time, instant.followed)
     loads = wrench_of_joint_loads(*place)
     return ContactReport(
         offset,
         axis,
-        jnp.zeros(len(found)),
-        sp.stack([contact.normal_force for contact in found]),
+        jnp.zeros(len(result)),
+        sp.stack([contact.normal_force for contact in result]),
         sp.stack(sliding),
-        jnp.abs(sp.stack([contact.friction for contact in found])),
-        jnp.stack([sp.stack(contact.place) for contact in found]),
+        jnp.abs(sp.stack([contact.friction for contact in result])),
+        jnp.stack([sp.stack(contact.place) for contact in result]),
         sp.stack(sp.plus(reaction.force, loads.force)),
         sp.stack(sp.plus(reaction.torque, loads.torque)),
         ends,

@@ -30,30 +30,30 @@ Ends = dict[str, tuple[CarryingEnd, ...]]
 Centres = dict[str, list[sp.Vec]]
 
 
-def ends_that_wear(system: System, found: Answer, friction: Any) -> Ends:
+def ends_that_wear(system: System, answer: Answer, friction: Any) -> Ends:
     """Where the joints that wear carry their reactions, by joint."""
     joints = touching(system)
-    parts = zip(joints, found.reactions, placed(joints), strict=True)
+    parts = zip(joints, answer.reactions, placed(joints), strict=True)
     return {
-        held.name: carrying_ends(held, reaction, own_part(friction, place))
-        for held, reaction, place in parts
-        if held.joint.maps()
+        fixed.name: carrying_ends(fixed, reaction, own_part(friction, place))
+        for fixed, reaction, place in parts
+        if fixed.joint.maps()
     }
 
 
 def centres_of(system: System, ends: Ends) -> Centres:
     """Where in the gap [m] the ends of those joints lie that turn in one."""
-    turning = {held.name for held in touching(system) if held.joint.goes_round}
-    return {name: [end.offset for end in own] for name, own in ends.items() if name in turning}
+    turning = {fixed.name for fixed in touching(system) if fixed.joint.goes_round}
+    return {name: [end.offset for end in part] for name, part in ends.items() if name in turning}
 
 
 def count_of_centres(system: System) -> int:
     """How many centres `centres_of` what wears knows."""
-    joints = [held.joint for held in touching(system)]
-    kept = [own for own in joints if own.maps() and own.goes_round]
-    ratios = [0.0 if own.components == 1 else (0.0,) * own.components for own in kept]
-    pairs = zip(kept, ratios, strict=True)
-    return sum(len(own.carrying_ends(sp.ZERO, sp.ZERO, ratio)) for own, ratio in pairs)
+    joints = [fixed.joint for fixed in touching(system)]
+    saved = [joint for joint in joints if joint.maps() and joint.goes_round]
+    ratios = [0.0 if joint.components == 1 else (0.0,) * joint.components for joint in saved]
+    pairs = zip(saved, ratios, strict=True)
+    return sum(len(joint.carrying_ends(sp.ZERO, sp.ZERO, ratio)) for joint, ratio in pairs)
 
 
 def wear_rates(
@@ -68,13 +68,13 @@ def wear_rates(
     coordinates `q`; the joints carry at these ends and slide at the speeds `slips` [m/s], and where
     their parts' `centres` move in the gap, by that too. Nothing where nothing wears."""
     system, rates = model.system, []
-    at = {held.name: k for k, held in enumerate(touching(system))}
+    at = {fixed.name: k for k, fixed in enumerate(touching(system))}
     places = placed(touching(system))
     carried = {}
-    for held in touching(system):
-        if held.name in carrying:
-            ends, depths = _sunk_in(held.joint, carrying[held.name])
-            carried[held.name] = (*_pose_in_gap(system, motions, q, held, ends), ends, depths)
+    for fixed in touching(system):
+        if fixed.name in carrying:
+            ends, depths = _sunk_in(fixed.joint, carrying[fixed.name])
+            carried[fixed.name] = (*_pose_in_gap(system, motions, q, fixed, ends), ends, depths)
     for slot in model.layout.wear:
         if slot.bearing not in at:
             continue
@@ -85,9 +85,9 @@ def wear_rates(
             (j, c) for j, e in enumerate(ends) for c in e.contacts if c.number == slot.contact
         )
         _, wearing = joint.maps()[slot.surface]
-        goes = None if centres is None else centres.get(slot.bearing)
+        moves = None if centres is None else centres.get(slot.bearing)
         slip = own_part(slips, places[k])
-        speed = slid(joint, slip, contact.place, sp.ZERO if goes is None else goes[end])
+        speed = slid(joint, slip, contact.place, sp.ZERO if moves is None else moves[end])
         volume = wearing.acceleration * wearing.law.volume_rate(
             contact.normal_force, speed, jnp.abs(contact.friction)
         )
@@ -102,47 +102,47 @@ def _sunk_in(
 ) -> tuple[tuple[CarryingEnd, ...], dict[int, Any]]:
     """The ends as far beyond the play as their forces press them, so that what leans is known, and
     the indentation of each contact [m] by its number."""
-    sunk: list[CarryingEnd] = []
+    depth: list[CarryingEnd] = []
     depths: dict[int, Any] = {}
     for end in ends:
-        own = {c.number: joint.indentation(c.number, c.normal_force) for c in end.contacts}
-        depths |= own
-        beyond = sp.total(own.values())
+        part = {c.number: joint.indentation(c.number, c.normal_force) for c in end.contacts}
+        depths |= part
+        beyond = sp.total(part.values())
         if not sp.is_zero(beyond):
             across = (*end.offset[:2], 0)
             beyond = sp.scale(safe_divide(beyond, sp.norm(across)), across)
             end = end._replace(offset=sp.plus(end.offset, beyond))
-        sunk.append(end)
-    return tuple(sunk) if len(ends) > 1 else ends, depths
+        depth.append(end)
+    return tuple(depth) if len(ends) > 1 else ends, depths
 
 
 def _pose_in_gap(
-    system: System, motions: tuple, q: tuple, held: PermanentJoint, ends: tuple[CarryingEnd, ...]
+    system: System, motions: tuple, q: tuple, joint: PermanentJoint, ends: tuple[CarryingEnd, ...]
 ) -> tuple[sp.Vec, tuple]:
     """(offset [m] of the journal's centre in the gap, its axes on which the gap depends)."""
     share = 1 / len(ends)
     offset = sp.scale(share, sp.plus(sp.ZERO, *(end.offset for end in ends)))
     pose: Any = None
-    if held.loop is not None:
-        pose = kinematics.relative_motion(system.closures[held.loop], motions)[1]
+    if joint.loop is not None:
+        pose = kinematics.relative_motion(system.closures[joint.loop], motions)[1]
     closes = pose is not None
-    if held.joint.gap_axes == (0, 1, 2):
-        if not closes and system.topology.branches[held.link].reversed:
-            return offset, held.joint.motion(q[held.link]).rotation
-        turn = pose.rotation if closes else held.joint.motion(q[held.link]).rotation
+    if joint.joint.gap_axes == (0, 1, 2):
+        if not closes and system.topology.branches[joint.link].reversed:
+            return offset, joint.joint.motion(q[joint.link]).rotation
+        turn = pose.rotation if closes else joint.joint.motion(q[joint.link]).rotation
         return offset, sp.transpose(turn)
     lean: sp.Vec = sp.ZERO
-    if held.joint.gap_axes and len(ends) == 2:
+    if joint.joint.gap_axes and len(ends) == 2:
         between = sp.minus(ends[1].offset, ends[0].offset)
         lean = sp.scale(1 / (ends[1].height - ends[0].height), between)
-    if held.joint.units == ("m",):
-        place = (*offset[:2], pose.translation[2] if closes else q[held.link][0])
+    if joint.joint.units == ("m",):
+        place = (*offset[:2], pose.translation[2] if closes else q[joint.link][0])
         return place, ((1, 0, sp.neg(lean[0])), (lean[0], lean[1], 1))
     # Turns of the journal are large, leans of the order of clearance over length.
-    found = {2: (lean[0], lean[1], 1)}
-    if 0 in held.joint.gap_axes:
-        turned: Any = 0.0 if closes else q[held.link][0]
-        found[0] = (
-            sp.transpose(pose.rotation)[0] if closes else (jnp.cos(turned), jnp.sin(turned), 0)
+    result = {2: (lean[0], lean[1], 1)}
+    if 0 in joint.joint.gap_axes:
+        rotated: Any = 0.0 if closes else q[joint.link][0]
+        result[0] = (
+            sp.transpose(pose.rotation)[0] if closes else (jnp.cos(rotated), jnp.sin(rotated), 0)
         )
-    return offset, tuple(found[axis] for axis in held.joint.gap_axes)
+    return offset, tuple(result[axis] for axis in joint.joint.gap_axes)

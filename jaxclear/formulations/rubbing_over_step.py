@@ -56,37 +56,37 @@ def joints_over_step(
     """The joints with which a step begins that were under these reactions in the last."""
     diagonal = middle.free_motion.diagonal
     system, motions = model.system, middle.free_motion.forces.motions
-    found = []
-    for held, reaction in zip(touching(system), reactions, strict=True):
-        slips, directions = sliding_rates(system, motions, held), _directions(held, reaction)
+    result = []
+    for fixed, reaction in zip(touching(system), reactions, strict=True):
+        slips, directions = sliding_rates(system, motions, fixed), _directions(fixed, reaction)
         rates = tuple(combine_rates(direction, slips) for direction in directions)
-        ratio = 0.0 if held.joint.components == 1 else (0.0,) * held.joint.components
-        load = carried_load(held.joint.carrying_ends(*reaction, ratio))
+        ratio = 0.0 if fixed.joint.components == 1 else (0.0,) * fixed.joint.components
+        load = carried_load(fixed.joint.carrying_ends(*reaction, ratio))
         lightnesses = [lightness(rate.row, diagonal) for rate in rates]
-        reach = _taken_at(held, load, lightnesses, averaging)
-        found.append(JointOverStep(held, slips, directions, rates, load, reach))
-    return tuple(found)
+        reach = _taken_at(fixed, load, lightnesses, averaging)
+        result.append(JointOverStep(fixed, slips, directions, rates, load, reach))
+    return tuple(result)
 
 
-def _directions(held: PermanentJoint, reaction: Reaction) -> tuple[tuple, ...]:
+def _directions(joint: PermanentJoint, reaction: Reaction) -> tuple[tuple, ...]:
     """Directions among the components of a joint's sliding speed in which friction moves it: of a
     ball two across the force; none where nothing rubs, or a drive has the say."""
-    if held.joint.friction is None or held.driven:
+    if joint.joint.friction is None or joint.driven:
         return ()
-    if held.joint.components == 1:
+    if joint.joint.components == 1:
         return ((1,),)
     size = sp.norm(reaction.force)
     return across(tuple(safe_divide(x, size) for x in reaction.force))
 
 
-def _taken_at(held: PermanentJoint, load: Any, lightnesses: list, averaging: Averaging) -> Any:
+def _taken_at(joint: PermanentJoint, load: Any, lightnesses: list, averaging: Averaging) -> Any:
     """After how much of a step friction is taken [s]; `lightnesses` [1/kg]: what unit forces along
     the joint's rows accelerate these by, about. 0 where none is sought."""
     if not lightnesses:
         return 0.0
     length, bias = averaging
     mean = sp.total(lightnesses) / len(lightnesses)
-    braked = length * mean * load * held.joint.friction.largest_slope(length)
+    braked = length * mean * load * joint.joint.friction.largest_slope(length)
     return length * jnp.maximum(0.5 * (1 + bias), 1 - 1 / jnp.maximum(braked, 1.0))
 
 
@@ -95,25 +95,25 @@ def damping(joint: JointOverStep, rates: tuple) -> Any:
     return _share(joint.held, rates) * joint.load
 
 
-def _share(held: PermanentJoint, rates: Any) -> Any:
+def _share(joint: PermanentJoint, rates: Any) -> Any:
     """Friction's share of the load over the sliding speed [s/m]."""
     size = rounded_norm(*rates, width=SLIP_ROUNDING)
-    return held.joint.friction_ratio(held.joint.friction.coefficient(size)) / size
+    return joint.joint.friction_ratio(joint.joint.friction.coefficient(size)) / size
 
 
 def friction(joints: tuple[JointOverStep, ...], forces: list[tuple], change: list) -> list:
     """Friction [N] of every component of every joint, from the forces along the rows; where a drive
     has the say that of the mean speeds, a `change` from those in the middle."""
     out: list[Any] = []
-    for joint, own in zip(joints, forces, strict=True):
-        held = joint.held
+    for joint, force in zip(joints, forces, strict=True):
+        fixed = joint.held
         if joint.directions:
-            out += [sp.dot(own, parts) for parts in zip(*joint.directions, strict=True)]
-        elif held.joint.friction is None:
-            out += [0.0 * joint.load] * held.joint.components
+            out += [sp.dot(force, parts) for parts in zip(*joint.directions, strict=True)]
+        elif fixed.joint.friction is None:
+            out += [0.0 * joint.load] * fixed.joint.components
         else:
             slid = [slip.at(change) for slip in joint.slips]
-            share = _share(held, slid)
+            share = _share(fixed, slid)
             out += [-share * joint.load * x for x in slid]
     return out
 
@@ -124,16 +124,17 @@ def rubbed(
     forces: Forces,
     middle: MiddleOfStep,
     total: Solution,
-    found: tuple[list, list],
+    result: tuple[list, list],
 ) -> tuple[Passive, tuple[Reaction, ...], Forces]:
     """(what the joints wear and lose over a step, their reactions in it, the forces with their
-    friction) under the `forces` of contacts and loads, with these accelerations; `found`: (friction
-    of every component [N], by how much the mean speeds differ from those in the middle)."""
-    system, (rubs, change) = model.system, found
-    held = touching(system)
+    friction) under the `forces` of contacts and loads, with these accelerations; `result`:
+    (friction of every component [N], by how much the mean speeds differ from those in the
+    middle)."""
+    system, (rubs, change) = model.system, result
+    fixed = touching(system)
     q = unpack_motion(system, [*middle.halfway, *middle.predicted])[0]
     forces = with_friction(system, forces, sp.stack(rubs))
-    answer = answer_to(system, forces, q, held, total)
+    answer = answer_to(system, forces, q, fixed, total)
     slips = [slip.at(change) for joint in joints for slip in joint.slips]
     passive = passive_of(model, forces, q, answer, rubs, slips)
     return passive, answer.reactions, forces

@@ -27,8 +27,8 @@ def coordinate_rates(system: System, q: tuple, v: tuple) -> list:
     """Rates of the coordinates of all links, as the joints give them."""
     rate = lambda joint, q, v: tuple(joint.rate(q, v))
     each = zip(system.links, q, v, strict=True)
-    own = map_many(rate, [(link.joint, q, v) for link, q, v in each if q])
-    return [x for rates in own for x in rates]
+    part = map_many(rate, [(link.joint, q, v) for link, q, v in each if q])
+    return [x for rates in part for x in rates]
 
 
 def drift(system: System, start: list, at: list, speeds: list, h: Any) -> list:
@@ -75,15 +75,15 @@ def passive_rates(
 
 def _of_flanks(system: System, forces: Forces) -> list:
     """Rates of the worn volumes of flanks of play."""
-    found = []
+    result = []
     for name, play in flanks_that_wear(system).items():
         slides: Any = system.transmissions[name].slides
         speed = read_coordinate(system, forces.motions, slides, forces.followed).speed
-        found += [play.wear_rate(torque, speed) for torque in forces.pressing[name].torques]
-    return found
+        result += [play.wear_rate(torque, speed) for torque in forces.pressing[name].torques]
+    return result
 
 
 def link_accelerations(system: System, flat: Any, multipliers: tuple) -> Solution:
     """Free accelerations, one after the other, as those of the links."""
-    own = tuple(tuple(flat[branch.speeds]) for branch in system.topology.branches)
-    return Solution(own, multipliers)
+    part = tuple(tuple(flat[branch.speeds]) for branch in system.topology.branches)
+    return Solution(part, multipliers)

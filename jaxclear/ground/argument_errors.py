@@ -57,16 +57,16 @@ RENAMED_ARGUMENTS = {
 }
 
 
-def with_new_arguments(owner: str, known: Container[str], given: dict) -> dict:
+def with_new_arguments(owner: str, parameters: Container[str], args: dict) -> dict:
     """Arguments with their new names; warns of old ones, of which the `owner` is known."""
     for old, new in RENAMED_ARGUMENTS.items():
-        if old in given and old not in known and new in known:
+        if old in args and old not in parameters and new in parameters:
             sentence = (
                 f"{old} of {owner} is called {new} now; the old name goes in the next version."
             )
             warn(sentence, FutureWarning)
-            given = {new if name == old else name: value for name, value in given.items()}
-    return given
+            args = {new if name == old else name: value for name, value in args.items()}
+    return args
 
 
 def warn_of_renaming(path: str) -> str:

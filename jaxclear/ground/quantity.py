@@ -362,8 +362,8 @@ def _within(one: Any) -> list:
 def on_host(tree: Any) -> Any:
     """A tree with NumPy's arrays in the place of JAX's, but for those that are traced: what is done
     with a few of its numbers then compiles nothing, and costs a microsecond in the place of ten."""
-    is_known = lambda x: isinstance(x, jax.Array) and not isinstance(x, jax.core.Tracer)
-    return jax.tree.map(lambda x: np.asarray(x) if is_known(x) else x, tree)
+    is_array = lambda x: isinstance(x, jax.Array) and not isinstance(x, jax.core.Tracer)
+    return jax.tree.map(lambda x: np.asarray(x) if is_array(x) else x, tree)
 
 
 Of = TypeVar("Of", bound=eqx.Module)

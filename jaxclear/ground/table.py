@@ -209,15 +209,15 @@ def _move_texts_to_notes(cells: _Cells) -> _Cells:
     if WIDTH - taken >= len(long) * (LONG + GAP):
         return _Cells(cells.names, columns, notes)
     numbers: dict[str, int] = {}
-    shown_columns = []
+    columns_shown = []
     for c in columns:
         if c.long:
             marks = [f"({numbers.setdefault(x, len(numbers) + 1)})" if x else "" for x in c.cells]
-            shown_columns.append(_Column(c.head, marks, False))
+            columns_shown.append(_Column(c.head, marks, False))
         else:
-            shown_columns.append(c)
+            columns_shown.append(c)
     return _Cells(
-        cells.names, shown_columns, notes + [f"({k}) {text}" for text, k in numbers.items()]
+        cells.names, columns_shown, notes + [f"({k}) {text}" for text, k in numbers.items()]
     )
 
 
@@ -355,11 +355,11 @@ class _Fitted(NamedTuple):
     at_left: bool
 
 
-def _fitted(column: _Column, most: int, at_left: bool) -> _Fitted:
+def _fitted(column: _Column, most: int, to_left: bool) -> _Fitted:
     """A column of at most so many characters."""
     width = min(column.narrowest, most)
     cells = [_broken(cell, width) for cell in column.cells]
-    return _Fitted(_broken(column.head, max(width, 1)), cells, width, at_left)
+    return _Fitted(_broken(column.head, max(width, 1)), cells, width, to_left)
 
 
 def _best(cells: _Cells) -> _Cells:

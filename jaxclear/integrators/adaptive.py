@@ -67,8 +67,8 @@ ROUNDED_OFF = 0.5
 TRUSTED = 8e-4
 
 
-def _as_times(given: Any) -> Any:
-    return None if given is None else jnp.asarray(given, float)
+def _as_times(values: Any) -> Any:
+    return None if values is None else jnp.asarray(values, float)
 
 
 class Adaptive(AbstractIntegrator):
@@ -134,13 +134,13 @@ class Adaptive(AbstractIntegrator):
         if not is_traced(finer) and finer > ROUNDED_OFF:
             return None
         sizes = on_device(finer * rtol), on_device(finer * atol)
-        own = eqx.tree_at(lambda own: (own.rtol, own.atol), self, sizes)
-        return own if self.largest_step is None else own.held(share * self.largest_step)
+        a = eqx.tree_at(lambda a: (a.rtol, a.atol), self, sizes)
+        return a if self.largest_step is None else a.held(share * self.largest_step)
 
     def counting_in(self, gap, arm):
         loosest = jnp.minimum(LOOSEST, LOOSEST_IN_GAP * (gap / arm))
         finer = loosest / jnp.maximum(self.rtol, loosest)
-        sizes = lambda own: (own.rtol, own.atol)
+        sizes = lambda a: (a.rtol, a.atol)
         return eqx.tree_at(sizes, self, (self.rtol * finer, self.atol * finer))
 
     @property
@@ -149,7 +149,7 @@ class Adaptive(AbstractIntegrator):
 
     def held(self, step):
         step = step if self.largest_step is None else jnp.minimum(step, self.largest_step)
-        return eqx.tree_at(lambda own: own.largest_step, self, step, is_leaf=lambda x: x is None)
+        return eqx.tree_at(lambda a: a.largest_step, self, step, is_leaf=lambda x: x is None)
 
     def evaluations(self, mechanism):
         """Those of the solver's stages, of which the last may be the next step's first."""
@@ -226,7 +226,7 @@ class Adaptive(AbstractIntegrator):
         group, field_of = state_group(model), term.vector_field
         return GroupTerm(lambda time, y, args: group.rates(y, field_of(time, y, args)), group)
 
-    def _solver(self, rest, size, own, growth, so_far):
+    def _solver(self, rest, size, derivative, growth, so_far):
         """The solver, which looks at contacts where there are any: laws may ask for impact speeds,
         and without them it would step over touches. `size`: so many equations of a program are in a
         rate; `so_far`: the peaks of the run."""
@@ -242,7 +242,7 @@ class Adaptive(AbstractIntegrator):
         def remember(y, before, after, length, args):
             return formulation.remember(unpacked(args[0], rest), y, before, after, length)
 
-        motion, derived = motion_of(formulation, rest), own if through else None
+        motion, derived = motion_of(formulation, rest), derivative if through else None
         looks = formulation.damped(bare(rest)), bare(rest).events
         return TakingImpactSpeeds(solver, remember, motion, derived, growth, so_far, *looks)
 
@@ -255,19 +255,19 @@ class Adaptive(AbstractIntegrator):
         # at its start (`shares`).
         @jax.jit
         def plain(arrays, time, y, shares=None):
-            own = shares if shares is None else shares[bare(rest).layout.joint_contacts :]
-            return formulation.rate(unpacked(arrays, rest), time, y, None, own)[0]
+            flank_shares = shares if shares is None else shares[bare(rest).layout.joint_contacts :]
+            return formulation.rate(unpacked(arrays, rest), time, y, None, flank_shares)[0]
 
         model = unpacked(arrays, rest)
         size = size_of(jax.make_jaxpr(plain)(arrays, start, state))
-        own = equations(formulation, rest, plain)
+        derivative = equations(formulation, rest, plain)
         through = bare(rest).layout.contacts and self.through_contacts
-        rates = own.rates if through else lambda arrays, _, *now: plain(arrays, *now)
+        rates = derivative.rates if through else lambda arrays, _, *now: plain(arrays, *now)
         controller = self._controller(model, interval)
         first = jnp.where(step > 0, usual, 1e-2 * length)
-        found, failed = self._solved(
+        end, failed = self._solved(
             self._term(model, rates),
-            self._solver(rest, size, own, growth, interval.peaks),
+            self._solver(rest, size, derivative, growth, interval.peaks),
             controller,
             (start, stop, first),
             state,
@@ -276,16 +276,16 @@ class Adaptive(AbstractIntegrator):
             (bare(rest).layout.coordinates, bare(rest).layout.memory_start),
         )
         # A remainder of rounding, shorter than the smallest step, has been taken.
-        reached = (failed == Outcome.REACHED) | (found.time >= stop)
+        reached = (failed == Outcome.REACHED) | (end.time >= stop)
         outcome = jnp.where(reached, Outcome.REACHED, failed)
-        peaks, events, usual = None, None, found.wish
+        peaks, events, usual = None, None, end.wish
         if bare(rest).layout.contacts:
-            _, _, peaks, events, growth = found.kept
+            _, _, peaks, events, growth = end.kept
             # As long as a flight it may go through a wall: rounding then decides what follows.
-            usual = (found.time - start) / jnp.maximum(found.accepted, 1)
+            usual = (end.time - start) / jnp.maximum(end.accepted, 1)
         usual = constant(usual)
-        steps = found.accepted, found.rejected
-        state = found.state
+        steps = end.accepted, end.rejected
+        state = end.state
         if through:
             instants = () if events is None else events[:2]
             most = _most_growth(model, controller)
@@ -299,10 +299,10 @@ class Adaptive(AbstractIntegrator):
         """Where a solver ends, and why where that is before the end; of its own steps each is
         `ended(state, args)`. `ends`: of the coordinates and of the speeds in a state."""
         if stepped_by_hand(self.solver) is not None:
-            given = term, solver, controller, span, state, args, self.max_steps, ended, ends
-            found = solve(*given)
-            short = jnp.where(found.time < span[1], Outcome.TOO_MANY_STEPS, Outcome.REACHED)
-            return found, jnp.where(found.too_small, Outcome.STEP_TOO_SMALL, short)
+            options = term, solver, controller, span, state, args, self.max_steps, ended, ends
+            solved = solve(*options)
+            short = jnp.where(solved.time < span[1], Outcome.TOO_MANY_STEPS, Outcome.REACHED)
+            return solved, jnp.where(solved.too_small, Outcome.STEP_TOO_SMALL, short)
         start, stop, first = span
         solution = diffrax.diffeqsolve(
             term,
@@ -325,8 +325,8 @@ class Adaptive(AbstractIntegrator):
         failed = jnp.where(too_many, Outcome.TOO_MANY_STEPS, Outcome.STEP_TOO_SMALL)
         typical = (solution.ts[-1] - start) / jnp.maximum(steps[0], 1)
         ended = solution.ts[-1], solution.ys[-1], solution.solver_state
-        found = Solved(*ended, *steps, ~fine, typical)
-        return found, jnp.where(fine, Outcome.REACHED, failed)
+        solved = Solved(*ended, *steps, ~fine, typical)
+        return solved, jnp.where(fine, Outcome.REACHED, failed)
 
 
 def _bounded(rest, state, args):

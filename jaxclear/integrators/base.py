@@ -308,9 +308,9 @@ def divide(interval: Interval, step: Any, fixed: int | None = None) -> tuple[Any
     start, stop = interval.start, interval.stop
     count = jnp.maximum(jnp.ceil((stop - start) / step * (1 - SLIVER)), 1.0)
     count = count if fixed is None else jnp.asarray(float(fixed))
-    known = count <= MOST_STEPS
-    return jnp.where(known, count, 1.0).astype(int), (stop - start) / jnp.where(
-        known, count, jnp.nan
+    valid = count <= MOST_STEPS
+    return jnp.where(valid, count, 1.0).astype(int), (stop - start) / jnp.where(
+        valid, count, jnp.nan
     )
 
 
@@ -342,13 +342,13 @@ def counted(one: Callable[[Any, Any], Any], steps: int, first: Any) -> Any:
 
 
 def arrived(
-    end: Any, steps: Any, warm_start: Any, met: Peaks | None = None, watch: Watch | None = None
+    end: Any, steps: Any, warm_start: Any, peaks: Peaks | None = None, watch: Watch | None = None
 ) -> Advance:
-    """The answer of steps that are never rejected, and that have `met` so deep contacts; `watch`:
+    """The answer of steps that are never rejected, and that have `peaks` so deep contacts; `watch`:
     events on the way."""
     outcome = jnp.where(jnp.all(jnp.isfinite(end)), Outcome.REACHED, Outcome.NOT_FINITE)
     events = None if watch is None else watch.events
-    return Advance(end, steps, jnp.zeros_like(steps), warm_start, outcome, met, events)
+    return Advance(end, steps, jnp.zeros_like(steps), warm_start, outcome, peaks, events)
 
 
 def searching_steps(
@@ -367,9 +367,9 @@ def searching_steps(
 
     state, warm_start = carry
     (first, *others), structure = jax.tree.flatten(warm_start)
-    begun = jax.tree.unflatten(structure, [first.at[-1].set(0.0), *others])
-    state, warm_start = march(one, steps, state, begun)
-    found = arrived(state, steps, warm_start)
+    first_carry = jax.tree.unflatten(structure, [first.at[-1].set(0.0), *others])
+    state, warm_start = march(one, steps, state, first_carry)
+    answer = arrived(state, steps, warm_start)
     residual = jax.tree.leaves(warm_start)[0][-1]
-    failed = (found.outcome == Outcome.REACHED) & (residual > loose)
-    return found._replace(outcome=jnp.where(failed, Outcome.LAWS_NOT_MET, found.outcome))
+    failed = (answer.outcome == Outcome.REACHED) & (residual > loose)
+    return answer._replace(outcome=jnp.where(failed, Outcome.LAWS_NOT_MET, answer.outcome))

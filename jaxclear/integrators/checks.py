@@ -101,7 +101,7 @@ class Outcome(AbstractOutcome):
 
 NEVER = (np.inf, Outcome.REACHED)
 # What a figure is told for.
-LOOPS, CONTACTS, SURFACES, WHOLE = "loops", "contacts", "surfaces", "mechanism"
+LOOPS, CONTACTS, SURFACES, MECHANISM = "loops", "contacts", "surfaces", "mechanism"
 LOADS, RUBBING, COLLARS = "loads and drives", "joints that rub", "collars"
 TOUCHING = "joints that always touch"
 IN_GAPS = "joints that always touch in a gap"
@@ -165,7 +165,7 @@ class Check(AbstractCheck):
         "energy gained",
         0.05,
         "motion",
-        WHOLE,
+        MECHANISM,
         "the mechanism gained {figure:.2g} of its energy (limit {limit:g}) though nothing gave it "
         "any: take shorter steps",
         (0.9, Outcome.ENERGY_GAINED),
@@ -298,22 +298,22 @@ class Checks(AbstractShown):
         together = jnp if is_traced(figures) else np
         rows = zip(*((figure.worst, figure.time) for figure in figures.values()), strict=True)
         worst, time = (together.concatenate(row, axis=-1) for row in rows)
-        return cls(worst, time, tuple((check, own.places) for check, own in figures.items()))
+        return cls(worst, time, tuple((check, figure.places) for check, figure in figures.items()))
 
     @property
     def figures(self) -> dict[Check, Figure]:
         """Each figure by its check."""
-        found, start = {}, 0
+        figures, start = {}, 0
         worst: Any = self.worst
         time: Any = self.time
         # JAX takes long to give a part of an array, NumPy does not.
         if not is_traced((worst, time)):
             worst, time = np.asarray(worst), np.asarray(time)
         for check, places in self.named:
-            own = slice(start, start + len(places))
-            found[check] = Figure(worst[..., own], time[..., own], places)
-            start = own.stop
-        return found
+            span = slice(start, start + len(places))
+            figures[check] = Figure(worst[..., span], time[..., span], places)
+            start = span.stop
+        return figures
 
     def beyond(self) -> dict[Check, Bool[Array, "*batch"]]:
         """For each figure whether it is beyond its limit anywhere; samples stay in front."""
@@ -324,10 +324,10 @@ class Checks(AbstractShown):
 
     def any_beyond(self) -> Bool[Array, "*batch"]:
         """Whether any figure is beyond its limit."""
-        found = jnp.zeros((), bool)
+        any_so_far = jnp.zeros((), bool)
         for beyond in self.beyond().values():
-            found = found | beyond
-        return found
+            any_so_far = any_so_far | beyond
+        return any_so_far
 
     def of_sample(self, index: int) -> "Checks":
         """The figures of one sample of many."""
@@ -354,15 +354,15 @@ class Checks(AbstractShown):
     @property
     def warnings(self) -> tuple[str, ...]:
         """A sentence for each figure beyond its limit; empty for a clean run."""
-        return tuple(_sentence(*row) for row in self._told())
+        return tuple(_sentence(*row) for row in self._exceeded())
 
     @property
     def before_the_end(self) -> tuple[str, ...]:
         """The warnings of a run that ended early but for those of figures that grew without bound
         with it: what was beyond its limit before may tell why."""
-        return tuple(_sentence(*row) for row in self._told() if row[1] < RAN_AWAY)
+        return tuple(_sentence(*row) for row in self._exceeded() if row[1] < RAN_AWAY)
 
-    def _told(self) -> list[tuple[Check, float, str]]:
+    def _exceeded(self) -> list[tuple[Check, float, str]]:
         """(check, worst figure, its place) of those beyond their limits."""
         return [row[:3] for row in self.rows() if row[1] > row[0].limit]
 
@@ -394,5 +394,5 @@ class Checks(AbstractShown):
 
 
 def _sentence(check: Check, worst: float, place: str) -> str:
-    said = check.sentence.format(figure=worst, place=place, limit=check.limit)
-    return f"{said[0].upper()}{said[1:]}."
+    text = check.sentence.format(figure=worst, place=place, limit=check.limit)
+    return f"{text[0].upper()}{text[1:]}."

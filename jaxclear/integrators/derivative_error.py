@@ -36,7 +36,7 @@ IMPACT_FIGURES = 7
 TRUSTED_IMPACTS = 1e-2
 
 
-def trusted(found: Any, growth: Array, limit: Scalar) -> Any:
+def trusted(result: Any, growth: Array, limit: Scalar) -> Any:
     """What was found of a run; its derivative is nan where touches move more than `limit` times as
     much as the first of them did.
 
@@ -44,10 +44,10 @@ def trusted(found: Any, growth: Array, limit: Scalar) -> Any:
     few of them and all of them did at most."""
 
     grown = lambda growth, limit: growth[2] <= limit * growth[1]
-    return _where(grown, Unknown.GROWN, found, growth, limit)
+    return _where(grown, Unknown.GROWN, result, growth, limit)
 
 
-def trusted_impacts(found: Any, growth: Array) -> Any:
+def trusted_impacts(result: Any, growth: Array) -> Any:
     """What was found of a run; its derivative is nan where errors of the motion, grown as impacts
     make them grow, decide it, and where an impact is not known to have one."""
 
@@ -55,30 +55,30 @@ def trusted_impacts(found: Any, growth: Array) -> Any:
         _, first, most, _, place, speeds, _ = [growth[i] for i in range(IMPACT_FIGURES)]
         return (place + speeds) * most <= TRUSTED_IMPACTS * first
 
-    found = _where(fine, Unknown.GROWN, found, growth)
-    return _where(lambda growth: growth[3] <= 0, Unknown.AT_ONCE, found, growth)
+    result = _where(fine, Unknown.GROWN, result, growth)
+    return _where(lambda growth: growth[3] <= 0, Unknown.AT_ONCE, result, growth)
 
 
-def beside(found: Any, parted: Scalar) -> Any:
+def while_together(result: Any, parted: Scalar) -> Any:
     """What was found of a run; its derivative is nan where the motion of which it is the derivative
     has `parted` from the run itself by too large a share of the gap."""
-    return _where(lambda parted: parted <= PARTED, Unknown.PARTED, found, parted)
+    return _where(lambda parted: parted <= PARTED, Unknown.PARTED, result, parted)
 
 
-def _where(fine: Callable, why: Unknown, found: Any, growth: Array, *numbers: Scalar) -> Any:
+def _where(fine: Callable, why: Unknown, result: Any, growth: Array, *numbers: Scalar) -> Any:
     """What was found; its derivative is nan, and says why, but where `fine(derivative of growth,
     *numbers)`."""
 
     def judged(numbers, tangents):
-        (_, _, *numbers), (found, growth, *_) = numbers, tangents
-        known = fine(moved(growth), *numbers)
-        return jax.tree.map(lambda each: jnp.where(known, moved(each), why.number), found)
+        (_, _, *numbers), (d_result, growth, *_) = numbers, tangents
+        trusted = fine(moved(growth), *numbers)
+        return jax.tree.map(lambda each: jnp.where(trusted, moved(each), why.number), d_result)
 
-    return derived(lambda found, *_: found, judged)(found, growth, *map(constant, numbers))
+    return derived(lambda result, *_: result, judged)(result, growth, *map(constant, numbers))
 
 
-def unknown_way(numbers: Any) -> Any:
+def without_derivative(numbers: Any) -> Any:
     """The numbers; their derivative is nan wherever it is asked for."""
-    unknown = lambda way: jnp.full_like(moved(way), Unknown.NOT_FOLLOWED.number)
-    lost = lambda numbers, tangents: jax.tree.map(unknown, tangents[0])
-    return derived(lambda numbers: numbers, lost)(numbers)
+    unknown = lambda tangent: jnp.full_like(moved(tangent), Unknown.NOT_FOLLOWED.number)
+    rule = lambda numbers, tangents: jax.tree.map(unknown, tangents[0])
+    return derived(lambda numbers: numbers, rule)(numbers)

@@ -29,7 +29,7 @@ from jaxclear.ground.numerics import safe_divide
 from jaxclear.ground.outcome import Unknown
 from jaxclear.ground.quantity import Scalar, constant
 from jaxclear.ground.tangents import apply_if, pushed
-from jaxclear.integrators.events import noted, nothing, nothing_met, peaks, risen, since
+from jaxclear.integrators.events import no_peaks, noted, nothing, peaks, risen, since
 from jaxclear.integrators.saltation import Equations, Step, closed
 from jaxclear.native import while_loop
 from jaxclear.native.writer import LONGEST_IN_REGISTERS
@@ -99,11 +99,11 @@ class Stages(AbstractAround, diffrax.AbstractAdaptiveSolver, diffrax.AbstractWra
         table, h = self.solver.tableau, t1 - t0
         rate = lambda node, y: terms.vf(t0 + node * h, y, args)
         go = _written_out if self.written_out else _in_turn
-        slopes, kept = go(table, rate, h, y0, solver_state)
+        slopes, stages = go(table, rate, h, y0, solver_state)
         y1 = y0 + h * _weighed(table.b_sol, slopes)
         error = h * _weighed(table.b_error, slopes)
         dense = {"y0": y0, "y1": y1, "k": h * slopes}
-        return y1, error, dense, kept, diffrax.RESULTS.successful
+        return y1, error, dense, stages, diffrax.RESULTS.successful
 
 
 def _in_turn(table, rate, h, y0, before):
@@ -154,10 +154,10 @@ def stepped_by_hand(solver: Any, equations: int = 0) -> diffrax.AbstractSolver |
     program; None where that is not for it."""
     if not isinstance(solver, diffrax.AbstractERK):
         return None
-    own = any(
+    is_explicit = any(
         getattr(type(solver), name) is not getattr(diffrax.AbstractERK, name) for name in OURS
     )
-    if own or not isinstance(solver.tableau, diffrax.ButcherTableau):
+    if is_explicit or not isinstance(solver.tableau, diffrax.ButcherTableau):
         return None
     return Stages(solver, equations <= FEW_EQUATIONS)
 
@@ -212,8 +212,8 @@ def solve(
     solving = _Solving(term, rest, most, ended, ends)
 
     def moving(numbers, tangents):
-        found = solving.motion(*numbers)
-        return found, solving.derivatives(found, numbers, tangents)
+        solved = solving.motion(*numbers)
+        return solved, solving.derivatives(solved, numbers, tangents)
 
     solved = jax.custom_jvp(solving.motion)
     solved.defjvp(moving, symbolic_zeros=True)
@@ -242,57 +242,57 @@ class _Solving(NamedTuple):
             adapted = controller.adapt_step_size(*tried, order, now.control)
             return _after(now, y, after, adapted, end)
 
-        last = while_loop(lambda now: self._goes_on(now, end), turn, first)
+        last = while_loop(lambda now: self._continues(now, end), turn, first)
         steps = last.accepted, last.rejected
         return Solved(last.start, last.state, last.kept, *steps, ~last.fine, last.wish)
 
-    def derivatives(self, found, numbers, tangents) -> Solved:
-        """The derivative of what was `found`, from those of the numbers."""
+    def derivatives(self, solved, numbers, tangents) -> Solved:
+        """The derivative of what was `solved`, from those of the numbers."""
         solving, (_, end, _), _, args = numbers
-        of_solving, (_, end_way, _), _, of_args = tangents
+        of_solving, (_, d_end, _), _, of_args = tangents
         solver, controller = eqx.combine(solving, self.rest)
         controller, order = _WithDerivatives(controller, self.ends), solver.error_order(self.term)
-        first, ways = pushed(self._first_turn, numbers, tangents)
+        first, d_turn = pushed(self._first_turn, numbers, tangents)
 
         def turn(carry):
-            now, ways = carry
+            now, d_turn = carry
             moving, fixed = eqx.partition(_parts(now), eqx.is_inexact_array)
             go = lambda moving: now._replace(**eqx.combine(moving, fixed))
 
             def tried(solving, args, moving):
                 return self._tried(eqx.combine(solving, self.rest)[0], go(moving), args)
 
-            given = (solving, args, moving), (of_solving, of_args, ways)
-            (candidate, y, after, error), (_, *of_step) = pushed(tried, *given)
-            y_way, after_way, error_way = of_step
-            off = ways["state"], y_way, error_way
+            inputs = (solving, args, moving), (of_solving, of_args, d_turn)
+            (candidate, y, after, error), (_, *of_step) = pushed(tried, *inputs)
+            d_y, d_after, d_error = of_step
+            off = d_turn["state"], d_y, d_error
             adapted = controller.adapt(now, candidate, error, off, order)
-            after, known = eqx.partition(after, eqx.is_inexact_array)
+            after, constants = eqx.partition(after, eqx.is_inexact_array)
 
-            def kept_or_not(moving, y, after, end):
-                return _after(go(moving), y, eqx.combine(after, known), adapted, end)
+            def choose(moving, y, after, end):
+                return _after(go(moving), y, eqx.combine(after, constants), adapted, end)
 
-            given = (moving, y, after, end), (ways, y_way, _floating(after_way), end_way)
-            now, ways = pushed(kept_or_not, *given)
-            return now, _floating(_parts(ways))
+            inputs = (moving, y, after, end), (d_turn, d_y, _floating(d_after), d_end)
+            now, d_turn = pushed(choose, *inputs)
+            return now, _floating(_parts(d_turn))
 
-        first = first, _floating(_parts(ways))
-        last, ways = while_loop(lambda carry: self._goes_on(carry[0], end), turn, first)
-        state = jnp.where(last.start < end, Unknown.UNRESOLVED.number, ways["state"])
-        still = jax.tree.map(_no_tangent, found)
-        kept = eqx.combine(ways["kept"], still.kept)
-        return still._replace(time=ways["start"], state=state, kept=kept)
+        first = first, _floating(_parts(d_turn))
+        last, d_turn = while_loop(lambda carry: self._continues(carry[0], end), turn, first)
+        state = jnp.where(last.start < end, Unknown.UNRESOLVED.number, d_turn["state"])
+        still = jax.tree.map(_no_tangent, solved)
+        saved = eqx.combine(d_turn["kept"], still.kept)
+        return still._replace(time=d_turn["start"], state=state, kept=saved)
 
     def _first_turn(self, numbers, span, state, args) -> _Turn:
         solver, controller = eqx.combine(numbers, self.rest)
         begin, end, first = span
-        begun, order = constant((begin, end, state, first, args)), solver.error_order(self.term)
-        until, control = controller.init(self.term, *begun, solver.func, order)
+        start, order = constant((begin, end, state, first, args)), solver.error_order(self.term)
+        until, control = controller.init(self.term, *start, solver.func, order)
         wish = until - constant(begin)
         until = _clipped(begin, until, end, True)
-        kept = solver.init(self.term, begin, until, state, args)
+        saved = solver.init(self.term, begin, until, state, args)
         none = jnp.zeros((), int)
-        return _Turn(begin, until, state, kept, control, none, none, jnp.asarray(True), wish)
+        return _Turn(begin, until, state, saved, control, none, none, jnp.asarray(True), wish)
 
     def _tried(self, solver, now, args):
         """(state by the solver, as it has ended, what the solver keeps, error) behind a step."""
@@ -301,7 +301,7 @@ class _Solving(NamedTuple):
         error = jax.tree.map(lambda each: jnp.where(jnp.isnan(each), jnp.inf, each), error)
         return y, self.ended(y, args), after, error
 
-    def _goes_on(self, now, end):
+    def _continues(self, now, end):
         return (now.start < end) & now.fine & (now.accepted + now.rejected < self.most)
 
 
@@ -333,27 +333,27 @@ class _WithDerivatives(NamedTuple):
     controller: Any
     ends: tuple[int, int]
 
-    def adapt(self, now, y, error, ways, order):
-        """What the controller says of a step with its derivatives: `ways` of (the state at its
+    def adapt(self, now, y, error, d_in, order):
+        """What the controller says of a step with its derivatives: `d_in` of (the state at its
         start, at its end, the error)."""
-        own, (before, after, off) = self.controller, ways
+        inner, (before, after, off) = self.controller, d_in
         by_touches = isinstance(error, Judged)
-        off, known = (off.error, error.error) if by_touches else (off, error)
+        off, fixed = (off.error, error.error) if by_touches else (off, error)
         sizes, largest = (
             jnp.maximum(abs(before), abs(after)),
             lambda x: jnp.max(abs(x), initial=0.0),
         )
         kinds = slice(0, self.ends[0]), slice(*self.ends)
         shares = [safe_divide(largest(off[kind]), largest(sizes[kind])) for kind in kinds]
-        share = jnp.maximum(*shares) / own.rtol
-        long = now.stop - now.start > FOR_DERIVATIVES * own.dtmin
+        share = jnp.maximum(*shares) / inner.rtol
+        long = now.stop - now.start > FOR_DERIVATIVES * inner.dtmin
         share = jnp.where(jnp.isfinite(share) & long, share, 0.0)
         # As if the motion were as far off.
-        allowed = own.atol + own.rtol * jnp.maximum(abs(now.state), abs(y))
-        larger = jnp.maximum(abs(known), share * allowed)
+        allowed = inner.atol + inner.rtol * jnp.maximum(abs(now.state), abs(y))
+        larger = jnp.maximum(abs(fixed), share * allowed)
         error = error._replace(error=larger) if by_touches else larger
         at = now.start, now.stop, now.state, y
-        return own.adapt_step_size(*constant((*at, None, error)), order, now.control)
+        return inner.adapt_step_size(*constant((*at, None, error)), order, now.control)
 
 
 def _after(now, y, after, adapted, end):
@@ -492,72 +492,72 @@ class TakingImpactSpeeds(
     def init(self, terms, t0, t1, y0, args):
         contacts = self.motion.contacts(args[0], t0, y0)
         events = nothing(contacts, self.events) if self.events else None
-        own = self.solver.init(terms, t0, t1, y0, args)
-        begun = nothing_met(contacts.depths, self.damped)
-        begun = since(self.so_far, self._risen(begun, y0, args, contacts))
-        return own, contacts, begun, events, self.growth
+        inner = self.solver.init(terms, t0, t1, y0, args)
+        peaks = no_peaks(contacts.depths, self.damped)
+        peaks = since(self.so_far, self._risen(peaks, y0, args, contacts))
+        return inner, contacts, peaks, events, self.growth
 
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
-        own, before, known, events, growth = solver_state
+        inner, before, peaks, events, growth = solver_state
         step = Step(args[0], ContactMotion(*constant(before)), constant(t1 - t0))
-        times, y, own, shift, given = self._begun(step, (t0, t1), y0, own, args)
-        y1, error, dense, own, result = self.solver.step(terms, *times, y, given, own, made_jump)
+        times, y, inner, shift, aux = self._start(step, (t0, t1), y0, inner, args)
+        y1, error, dense, inner, result = self.solver.step(terms, *times, y, aux, inner, made_jump)
         after: Any = constant(self.motion.contacts(args[0], t1, y1))
         # Flanks of play by how they count since the step began.
-        seen = after
+        end_motion = after
         if self.motion.sided:
-            seen = constant(self.motion.seen(args[0], t1, y1, step.shares))
+            end_motion = constant(self.motion.seen(args[0], t1, y1, step.shares))
         length, half = t1 - t0, 0.5 * (t0 + t1)
         path = self.interpolation_cls(t0=t0, t1=t1, **constant(dense))
         middle = self.motion.seen(args[0], half, path.evaluate(half), step.shares)
-        passed = Passage(*constant((before, middle, seen)))
+        passage = Passage(*constant((before, middle, end_motion)))
         remembering = self.remember(y1, before, after, length, args)
         if events is not None:
-            events = noted(events, *constant((t0, length, before, seen)))
-        told = remembering, growth, events
-        y1, own, growth, events = self._ended(step, (t1, y1), own, shift, told)
+            events = noted(events, *constant((t0, length, before, end_motion)))
+        derived = remembering, growth, events
+        y1, inner, growth, events = self._ended(step, (t1, y1), inner, shift, derived)
         if self.derived is not None and self.motion.layout.plays:
             slope = lambda: terms.vf(t1, y1, (args[0], closed(after)))
-            own = _renewed(own, step.shares != closed(after), slope)
-        known = self._peaks((t0, y0), (t1, y1), args, (step.contacts, after), known)
-        kept = own, after, known, events, growth
-        return y1, Judged(error, passed), dense, kept, result
+            inner = _renewed(inner, step.shares != closed(after), slope)
+        peaks = self._peaks((t0, y0), (t1, y1), args, (step.contacts, after), peaks)
+        state_after = inner, after, peaks, events, growth
+        return y1, Judged(error, passage), dense, state_after, result
 
-    def _peaks(self, start, end, args, motions, known):
+    def _peaks(self, start, end, args, motions, largest):
         """The peaks after a step."""
         if self.derived is None:
-            return self._risen(known, end[1], args, motions[1])
+            return self._risen(largest, end[1], args, motions[1])
         so_far = constant(self.so_far)
-        return peaks(self.motion, args[0], (start, end), motions, known, so_far)
+        return peaks(self.motion, args[0], (start, end), motions, largest, so_far)
 
-    def _risen(self, known, y, args, contacts):
+    def _risen(self, largest, y, args, contacts):
         """The peaks with the contacts at an instant."""
         forces = self.motion.pressing(args[0], y, contacts) if self.damped else None
-        found = risen(known, contacts.depths, forces)
-        return found if self.derived else constant(found)
+        peaks = risen(largest, contacts.depths, forces)
+        return peaks if self.derived else constant(peaks)
 
-    def _begun(self, step, times, y, own, args):
+    def _start(self, step, times, y, inner, args):
         """(times, state, state of the solver, shift, args) of its step, as derivatives want it."""
         if self.derived is None:
-            return times, y, own, None, args
-        slopes, others = eqx.partition(own, eqx.is_inexact_array)
+            return times, y, inner, None, args
+        slopes, others = eqx.partition(inner, eqx.is_inexact_array)
         y, slopes, shift = self.derived.shifted(step, (times[0], y), slopes)
         times = tuple(time + shift for time in times)
         return times, y, eqx.combine(slopes, others), shift, (args[0], step.shares)
 
-    def _ended(self, step, end, own, shift, known):
+    def _ended(self, step, end, inner, shift, values):
         """(state, state of the solver, growth, events) with derivatives behind touches and
-        releases, from (state, growth, events, error) as `known` before."""
+        releases, from (state, growth, events, error) as `values` before."""
         if self.derived is None:
-            return known[0], own, *known[1:]
-        slopes, others = eqx.partition(own, eqx.is_inexact_array)
-        y, slopes, *rest = self.derived.jumped(step, end, slopes, shift, *known)
+            return values[0], inner, *values[1:]
+        slopes, others = eqx.partition(inner, eqx.is_inexact_array)
+        y, slopes, *rest = self.derived.jumped(step, end, slopes, shift, *values)
         return y, eqx.combine(slopes, others), *rest
 
 
-def _renewed(own: Any, changed: Any, slope: Callable) -> Any:
+def _renewed(inner: Any, changed: Any, slope: Callable) -> Any:
     """What a solver keeps between steps, where flanks have `changed`: with the slope as they count
     from there on."""
-    slopes, others = eqx.partition(own, eqx.is_inexact_array)
+    slopes, others = eqx.partition(inner, eqx.is_inexact_array)
     fresh = lambda slopes: jax.tree.map(lambda _: slope(), slopes)
     return eqx.combine(apply_if(jnp.any(changed), fresh, slopes), others)

@@ -110,8 +110,8 @@ def together(before: Events, more: Events) -> Events:
     moved = behind[:, :, None] == places
 
     def both(old: Array, new: Array) -> Array:
-        found = jnp.sum(jnp.where(moved, new[:, None, :], 0.0), axis=2)
-        return jnp.where(behind >= 0, found, old)
+        moved_in = jnp.sum(jnp.where(moved, new[:, None, :], 0.0), axis=2)
+        return jnp.where(behind >= 0, moved_in, old)
 
     times, rates = both(before.times, more.times), both(before.rates, more.rates)
     return Events(times, rates, before.counts + more.counts)
@@ -133,109 +133,109 @@ class Peaks(NamedTuple):
     forces: Any = None
 
 
-def nothing_met(depths: PerContact, damped: bool) -> Peaks:
+def no_peaks(depths: PerContact, damped: bool) -> Peaks:
     """Before the first step of a run with so many contacts."""
     return Peaks(jnp.zeros_like(depths), jnp.zeros_like(depths) if damped else None)
 
 
-def risen(known: Peaks, depths: PerContact, forces: Any) -> Peaks:
+def risen(peaks: Peaks, depths: PerContact, forces: Any) -> Peaks:
     """The peaks with these depths and forces. What is not a number is not met: every operation is
     paid for in every step."""
     larger = lambda new, old: jnp.where(new > old, new, old)
-    pressed = None if known.forces is None else larger(forces, known.forces)
-    return Peaks(larger(depths, known.depths), pressed)
+    pressed = None if peaks.forces is None else larger(forces, peaks.forces)
+    return Peaks(larger(depths, peaks.depths), pressed)
 
 
-def since(so_far: Peaks | None, begun: Peaks) -> Peaks:
+def since(so_far: Peaks | None, first: Peaks) -> Peaks:
     """What a saving interval has met where it begins, with the derivative of the largest `so_far`
     in the run (None: it is not known) where that is as large."""
-    return _with_derivative(lambda so_far, begun: begun > so_far, so_far, begun)
+    return _with_derivative(lambda so_far, first: first > so_far, so_far, first)
 
 
-def among(so_far: Peaks | None, met: Peaks) -> Peaks:
-    """What a saving interval has `met` by steps that know of no peaks before it, with the
+def among(so_far: Peaks | None, peaks: Peaks) -> Peaks:
+    """What a saving interval has `peaks` by steps that know of no peaks before it, with the
     derivative of the largest in the run."""
-    return _with_derivative(lambda so_far, met: met >= so_far, so_far, met)
+    return _with_derivative(lambda so_far, peaks: peaks >= so_far, so_far, peaks)
 
 
-def newest(so_far: Any, met: Any, counts: Any) -> Any:
+def newest(so_far: Any, peaks: Any, counts: Any) -> Any:
     """The larger of two peaks, with the derivative of the later one, which knows the earlier one
     (`since`), where it `counts` and comes as near as `NEAR`: one whose steps are beyond what can be
     known leaves that of an earlier, larger one as it is."""
 
-    def told(numbers, tangents):
-        so_far, met, counts = numbers
+    def rule(numbers, tangents):
+        so_far, peaks, counts = numbers
         before, after = map(moved, tangents[:2])
-        return jnp.where(counts & ~(met < NEAR * so_far), after, before)
+        return jnp.where(counts & ~(peaks < NEAR * so_far), after, before)
 
-    larger = lambda so_far, met, counts: jnp.where(counts & ~(met < so_far), met, so_far)
-    return derived(larger, told)(so_far, met, counts)
+    larger = lambda so_far, peaks, counts: jnp.where(counts & ~(peaks < so_far), peaks, so_far)
+    return derived(larger, rule)(so_far, peaks, counts)
 
 
-def _with_derivative(own: Callable, so_far: Peaks | None, met: Peaks) -> Peaks:
-    """The peaks that were `met`, with their derivative where it is their own, otherwise that of
+def _with_derivative(counts: Callable, so_far: Peaks | None, peaks: Peaks) -> Peaks:
+    """The peaks that were `peaks`, with their derivative where it is their own, otherwise that of
     those `so_far`."""
 
-    def one(so_far, met):
-        if so_far is None or met is None:
-            return met
+    def one(so_far, peaks):
+        if so_far is None or peaks is None:
+            return peaks
 
-        def told(numbers, tangents):
+        def rule(numbers, tangents):
             before, after = map(moved, tangents)
-            return jnp.where(own(*numbers), after, before)
+            return jnp.where(counts(*numbers), after, before)
 
-        return derived(lambda so_far, met: moving_with(so_far, met), told)(so_far, met)
+        return derived(lambda so_far, peaks: moving_with(so_far, peaks), rule)(so_far, peaks)
 
-    return met if so_far is None else Peaks(*map(one, so_far, met))
+    return peaks if so_far is None else Peaks(*map(one, so_far, peaks))
 
 
 def peaks(
-    motion: Any, arrays: Any, ends: tuple, motions: tuple, known: Peaks, so_far: Peaks | None = None
+    motion: Any, arrays: Any, ends: tuple, motions: tuple, peaks: Peaks, so_far: Peaks | None = None
 ) -> Peaks:
-    """The peaks after a step, `known` until its start, and `so_far` in the run until the interval
+    """The peaks after a step, `peaks` until its start, and `so_far` in the run until the interval
     began. `motion`: of the model with these arrays (`saltation.motion_of`); `ends`: (time [s],
     state) at the start and at the end; `motions`: those of the contacts there, whose own
     derivatives do not count."""
 
-    def larger(arrays, start, end, motions, known, _):
-        forces = None if known.forces is None else motion.pressing(arrays, end[1], motions[1])
-        return moving_with(end[1][0], risen(known, motions[1].depths, forces))
+    def larger(arrays, start, end, motions, peaks, _):
+        forces = None if peaks.forces is None else motion.pressing(arrays, end[1], motions[1])
+        return moving_with(end[1][0], risen(peaks, motions[1].depths, forces))
 
     def moving(numbers, tangents):
-        arrays, start, end, motions, known, before = numbers
-        way, *ways, _, so_far, _ = tangents
+        arrays, start, end, motions, peaks, before = numbers
+        d_arr, *d_in, _, so_far, _ = tangents
         so_far, length = jax.tree.map(moved, so_far), end[0] - start[0]
-        known = known if before is None else risen(known, *before)
-        deeper, share = _deeper(known.depths, motions, length)
+        peaks = peaks if before is None else risen(peaks, *before)
+        deeper, share = _deeper(peaks.depths, motions, length)
         force = _Force(motion, arrays, (start, end), motions, length)
-        pressed = force.reaches(known.forces)
+        pressed = force.reaches(peaks.forces)
 
         def ahead(so_far):
-            found = [
-                pushed(motion.contacts, (arrays, *point), (way, *each))[1]
-                for point, each in zip((start, end), ways, strict=True)
+            result = [
+                pushed(motion.contacts, (arrays, *point), (d_arr, *each))[1]
+                for point, each in zip((start, end), d_in, strict=True)
             ]
-            moves = [moved(each[0]) for each in ways]
+            moves = [moved(each[0]) for each in d_in]
             bent = bends(_path(motions, length))
-            found = _at_fixed_times(found, motions, moves, bent, length)
-            depths = jnp.where(deeper, cubic(_path(found, length), share)[0], so_far.depths)
-            forces = force.moved(pressed, (way, ways[1][1], found), so_far.forces)
+            result = _at_fixed_times(result, motions, moves, bent, length)
+            depths = jnp.where(deeper, cubic(_path(result, length), share)[0], so_far.depths)
+            forces = force.moved(pressed, (d_arr, d_in[1][1], result), so_far.forces)
             return Peaks(depths, forces)
 
-        wanted = jnp.any(deeper) if pressed is None else jnp.any(deeper | pressed)
-        return apply_if(wanted, ahead, so_far)
+        needed = jnp.any(deeper) if pressed is None else jnp.any(deeper | pressed)
+        return apply_if(needed, ahead, so_far)
 
-    return derived(larger, moving)(arrays, *ends, motions, known, so_far)
+    return derived(larger, moving)(arrays, *ends, motions, peaks, so_far)
 
 
-def _deeper(known: PerContact, motions: tuple, length: Any) -> tuple:
+def _deeper(peaks: PerContact, motions: tuple, length: Any) -> tuple:
     """Which contacts are deepest in a step, and at which share of it. One that turns in it has been
     deepest before, at the end of this step or nowhere."""
     before, after = motions
     turns = (before.rates > 0) & (after.rates <= 0)
-    turns = turns & (jnp.maximum(before.depths, after.depths) >= known)
+    turns = turns & (jnp.maximum(before.depths, after.depths) >= peaks)
     share = jnp.where(turns, summit(_path(motions, length)), 1.0)
-    return turns | (after.depths > known), share
+    return turns | (after.depths > peaks), share
 
 
 def _path(motions: Any, length: Any) -> tuple:
@@ -258,34 +258,34 @@ class _Force(NamedTuple):
         state = self.ends[1][1]
         return [self.motion.pressing(self.arrays, state, motion) for motion in self.motions]
 
-    def reaches(self, known: Any) -> Any:
+    def reaches(self, peaks: Any) -> Any:
         """Which contacts are pressed harder in the step than ever, or have just been."""
-        if known is None:
+        if peaks is None:
             return None
         most = jnp.maximum(*self.at_ends())
-        return (most > 0) & (most >= (1 - ROUNDING) * known)
+        return (most > 0) & (most >= (1 - ROUNDING) * peaks)
 
-    def moved(self, pressed: Any, ways: tuple, so_far: Any) -> Any:
+    def moved(self, pressed: Any, d_in: tuple, so_far: Any) -> Any:
         """The derivative of the largest forces, of those `pressed` at the highest point of this
-        step; `ways`: of (arrays, state, contacts at both ends)."""
+        step; `d_in`: of (arrays, state, contacts at both ends)."""
         if pressed is None:
             return None
-        rises, share, goes_on = self._summit()
-        way, state_way, found = ways
+        rises, share, continues = self._summit()
+        d_arr, d_state, d_found = d_in
         # There a force does not hang on when it is: without the time by which all comes later,
         # which is large beside a contact and would have to cancel. A force that still grows as the
         # step ends is the largest where the run ends with it: at that time, whatever comes later.
         gains = self._gains()
-        early, late = (_later(*each) for each in zip(self.motions, found, gains, strict=True))
+        early, late = (_later(*each) for each in zip(self.motions, d_found, gains, strict=True))
         later = jnp.where(jnp.less(*self.at_ends()), late, early)
-        later = jnp.where(goes_on, 0.0, later)
-        found = [
-            ContactMotion(*(x + later * gain for x, gain in zip(own, gains, strict=True)))
-            for own, gains in zip(found, gains, strict=True)
+        later = jnp.where(continues, 0.0, later)
+        d_found = [
+            ContactMotion(*(x + later * gain for x, gain in zip(now, gains, strict=True)))
+            for now, gains in zip(d_found, gains, strict=True)
         ]
         along = lambda arrays, state, path: self._at(arrays, state, path, share)
         numbers = self.arrays, self.ends[1][1], _path(self.motions, self.length)
-        moves = pushed(along, numbers, (way, state_way, _path(found, self.length)))[1]
+        moves = pushed(along, numbers, (d_arr, d_state, _path(d_found, self.length)))[1]
         return jnp.where(pressed & rises, moves, so_far)
 
     def _gains(self) -> list[ContactMotion]:
@@ -333,11 +333,11 @@ def _later(motion: ContactMotion, moves: ContactMotion, gains: ContactMotion) ->
     return -safe_divide(weigh(moves, gains), weigh(gains, gains))
 
 
-def _at_fixed_times(found: list, motions: Any, moves: Any, bent: Any, length: Any) -> list:
+def _at_fixed_times(results: list, motions: Any, moves: Any, bent: Any, length: Any) -> list:
     """Derivatives of contacts at instants that do not move, from those at ends of a step that
     `moves` tell of."""
     gains = [safe_divide(each, length * length) for each in bent]
     return [
-        ContactMotion(own.depths - move * now.rates, own.rates - move * gain)
-        for own, now, move, gain in zip(found, motions, moves, gains, strict=True)
+        ContactMotion(result.depths - move * now.rates, result.rates - move * gain)
+        for result, now, move, gain in zip(results, motions, moves, gains, strict=True)
     ]

@@ -35,11 +35,11 @@ from jaxclear.integrators.base import (
     divide,
     resolved,
 )
-from jaxclear.integrators.derivative_error import NO_SECOND, unknown_way
-from jaxclear.integrators.events import among, nothing_met, risen, since, watch_from, watched
+from jaxclear.integrators.derivative_error import NO_SECOND, without_derivative
+from jaxclear.integrators.events import among, no_peaks, risen, since, watch_from, watched
 from jaxclear.integrators.munthe_kaas import state_group
 from jaxclear.integrators.saltation import NODES, WEIGHTS, through_touches
-from jaxclear.integrators.variational import beside_steps, nothing_beside, so_far, trusted_beside
+from jaxclear.integrators.variational import not_resolved, resolved_steps, so_far, trust_resolved
 from jaxclear.native import while_loop
 
 # Explicit Runge-Kutta methods in which each stage starts from the slope of the one before: (nodes,
@@ -76,10 +76,10 @@ def chosen_length(longest: Any, rest: tuple | None) -> Callable[[Any, Any], Any]
     def length(contacts, last):
         if rest is None:
             return longest
-        left, shortest = rest
+        remaining, shortest = rest
         near = jnp.any(near_contacts(contacts, last, longest))
         h = jnp.where(near, shortest, longest)
-        return jnp.where(h > left * (1 - SLIVER), left, h)
+        return jnp.where(h > remaining * (1 - SLIVER), remaining, h)
 
     return length
 
@@ -276,7 +276,7 @@ class FixedStep(AbstractIntegrator):
     def with_finer_steps(self, share):
         if self.steps_per_save is not None:
             return None
-        return eqx.tree_at(lambda own: own.step, self, share * self.step)
+        return eqx.tree_at(lambda a: a.step, self, share * self.step)
 
     @property
     def opens_loops(self):
@@ -294,10 +294,10 @@ class FixedStep(AbstractIntegrator):
         if not model.layout.contacts:
             return None, None, None
         contacts = self.formulation.contacts(model, start, state)
-        if self._derived(model) and self._beside:
+        if self._derived(model) and self._separate:
             damped = self.formulation.damped(model)
-            known = nothing_beside(model.layout.size, len(contacts.depths), damped)
-            return contacts, jnp.ones(()), known
+            separate = not_resolved(model.layout.size, len(contacts.depths), damped)
+            return contacts, jnp.ones(()), separate
         return contacts, jnp.ones(()), None
 
     def _derived(self, model):
@@ -305,15 +305,15 @@ class FixedStep(AbstractIntegrator):
 
     @property
     def through_contacts(self):
-        alike = self.method in CHAINS and self.contact_steps is None
-        return self.steps_per_save is None and (self.method == "rk4" or alike)
+        same_step = self.method in CHAINS and self.contact_steps is None
+        return self.steps_per_save is None and (self.method == "rk4" or same_step)
 
     def beyond_flanks(self, mechanism):
         # The motion beside the steps is measured by the gaps of joints.
-        return FLANKS if self._beside else self.beyond_touches(mechanism)
+        return FLANKS if self._separate else self.beyond_touches(mechanism)
 
     @property
-    def _beside(self):
+    def _separate(self):
         """Whether derivatives through contacts are those of the motion beside the steps."""
         return self.method != "rk4"
 
@@ -323,66 +323,66 @@ class FixedStep(AbstractIntegrator):
         of_others, others = eqx.partition((self, constant(so_far)), eqx.is_array)
         arrays = of_model, *of_others
 
-        def known(arrays):
+        def view(arrays):
             return unpacked(arrays[0], rest), *eqx.combine(arrays[1:], others)
 
         def plain(arrays, clock, y, last):
-            model, own, _ = known(arrays)
-            return explicit_step(own.formulation, own.method, model, clock, y, last)
+            model, own_part, _ = view(arrays)
+            return explicit_step(own_part.formulation, own_part.method, model, clock, y, last)
 
-        def seen(arrays, end, met, steps):
+        def look_at(arrays, end, peaks, steps):
             """What was met of the contacts, from what two steps leave, the second of which ends so:
             impact speeds that it has begun with are those at its end."""
-            if met is None:
+            if peaks is None:
                 return None
             (after, *_), forces = steps[1], None
-            if met.forces is not None:
-                model, own, _ = known(arrays)
-                forces = own.formulation.normal_forces(model, end, after)
-            return risen(met, after.depths, forces)
+            if peaks.forces is not None:
+                model, own_part, _ = view(arrays)
+                forces = own_part.formulation.normal_forces(model, end, after)
+            return risen(peaks, after.depths, forces)
 
-        if self._derived(model) and self._beside:
-            return self._stepped_beside(rest, arrays, plain, seen)
-        length = lambda clock, *seen: chosen_length(*clock[1:])(*seen)
-        through = through_touches(self.formulation, rest, plain, length, seen)
+        if self._derived(model) and self._separate:
+            return self._step_resolved(rest, arrays, plain, look_at)
+        length = lambda clock, *look_at: chosen_length(*clock[1:])(*look_at)
+        through = through_touches(self.formulation, rest, plain, length, look_at)
 
-        def step(clock, y, last, met):
+        def step(clock, y, last, peaks):
             before = None if last[0] is None else last[:2]
             if self._derived(model):
-                h, end, now, met = through(arrays, clock, y, before, met)
+                h, end, now, peaks = through(arrays, clock, y, before, peaks)
             else:
                 h, end, now = plain(arrays, clock, y, before)
-                met = seen(arrays, end, met, (before, now))
-            return h, end, (*(now or (None, None)), None), met
+                peaks = look_at(arrays, end, peaks, (before, now))
+            return h, end, (*(now or (None, None)), None), peaks
 
         return step
 
-    def _stepped_beside(self, rest, arrays, plain, seen):
+    def _step_resolved(self, rest, arrays, plain, look_at):
         """As `_stepped`, with the derivative of the motion beside the step."""
 
-        def alone(arrays, clock, y, last, met):
+        def alone(arrays, clock, y, last, peaks):
             _, end, now = plain(arrays, (*clock, None), y, last)
             end = closed(unpacked(arrays[0], rest), sum(clock), end, clock[1])
-            return end, now, seen(arrays, end, met, (last, now))
+            return end, now, look_at(arrays, end, peaks, (last, now))
 
-        beside = beside_steps(self.formulation, rest, alone)
+        beside_step = resolved_steps(self.formulation, rest, alone)
 
-        def step(clock, y, last, met):
-            end, now, met, known = beside(arrays, clock[:2], y, last[:2], met, last[2])
-            return clock[1], end, (*now, known), met
+        def step(clock, y, last, peaks):
+            end, now, peaks, extra = beside_step(arrays, clock[:2], y, last[:2], peaks, last[2])
+            return clock[1], end, (*now, extra), peaks
 
         return step
 
-    def _trusted(self, model, end, met, watch, last):
+    def _trusted(self, model, end, peaks, watch, last):
         """All that was found, where its derivative can be trusted; rates at events have none."""
-        if self._derived(model) and self._beside:
-            return trusted_beside(end, met, watch, last[2])
+        if self._derived(model) and self._separate:
+            return trust_resolved(end, peaks, watch, last[2])
         if not self._derived(model):
-            return end, met, watch
+            return end, peaks, watch
         if watch is not None:
-            rates = unknown_way(watch.events.rates)
+            rates = without_derivative(watch.events.rates)
             watch = watch._replace(events=watch.events._replace(rates=rates))
-        return allow_first_derivative(NO_SECOND, (end, met, watch))
+        return allow_first_derivative(NO_SECOND, (end, peaks, watch))
 
     def advance(self, model, interval, state, warm_start):
         steps, h = divide(interval, self.step, self.steps_per_save)
@@ -392,28 +392,28 @@ class FixedStep(AbstractIntegrator):
         step = self._stepped(model, interval.peaks)
 
         def turn(carry):
-            index, y, last, met, watch = carry
+            index, y, last, peaks, watch = carry
             time = interval.start + index * h
-            _, y, now, met = step((time, h, None), y, last, met)
-            if not (self._derived(model) and self._beside):
+            _, y, now, peaks = step((time, h, None), y, last, peaks)
+            if not (self._derived(model) and self._separate):
                 y = closed(model, time + h, y, h)
             watch = watched(watch, model, time, h, y)
-            return index + 1, y, now, met, watch
+            return index + 1, y, now, peaks, watch
 
-        if self._derived(model) and self._beside:
-            *begun, known = warm_start
-            warm_start = *begun, so_far(known)
+        if self._derived(model) and self._separate:
+            *starts, separate = warm_start
+            warm_start = *starts, so_far(separate)
         watch = watch_from(model, interval.start, state)
-        met = self._nothing_met(model, warm_start, interval.peaks)
-        first = (jnp.zeros((), int), state, warm_start, met, watch)
+        peaks = self._first_peaks(model, warm_start, interval.peaks)
+        first = (jnp.zeros((), int), state, warm_start, peaks, watch)
         if self.steps_per_save is None:
-            _, end, last, met, watch = while_loop(lambda carry: carry[0] < steps, turn, first)
+            _, end, last, peaks, watch = while_loop(lambda carry: carry[0] < steps, turn, first)
         else:
             scanned = lambda index, carry: turn((index, *carry))[1:]
-            end, last, met, watch = counted(scanned, self.steps_per_save, first[1:])
-        found = end, self._all_met(model, met, interval.peaks), watch
-        end, met, watch = self._trusted(model, *found, last)
-        return arrived(end, steps, last, met, watch)
+            end, last, peaks, watch = counted(scanned, self.steps_per_save, first[1:])
+        results = end, self._all_peaks(model, peaks, interval.peaks), watch
+        end, peaks, watch = self._trusted(model, *results, last)
+        return arrived(end, steps, last, peaks, watch)
 
     def _steps_that_meet_contacts(self, model, interval, longest, state, warm_start):
         """Every sample at its own pace."""
@@ -421,32 +421,32 @@ class FixedStep(AbstractIntegrator):
         shortest = resolved(longest / self.contact_steps, interval)
 
         def one(carry):
-            time, steps, y, last, met, watch = carry
-            h, y, now, met = step((time, longest, (stop - time, shortest)), y, last, met)
+            time, steps, y, last, peaks, watch = carry
+            h, y, now, peaks = step((time, longest, (stop - time, shortest)), y, last, peaks)
             # The step that was cut to what was left ends exactly at the end.
             begin, time = time, jnp.where(h == stop - time, stop, time + h)
             y = closed(model, time, y, h)
             watch = watched(watch, model, begin, h, y)
-            return time, steps + 1, y, now, met, watch
+            return time, steps + 1, y, now, peaks, watch
 
-        met = self._nothing_met(model, warm_start, interval.peaks)
+        peaks = self._first_peaks(model, warm_start, interval.peaks)
         watch = watch_from(model, interval.start, state)
-        first = (interval.start, jnp.zeros((), int), state, warm_start, met, watch)
-        _, steps, end, last, met, watch = while_loop(lambda carry: carry[0] < stop, one, first)
-        found = end, self._all_met(model, met, interval.peaks), watch
-        end, met, watch = self._trusted(model, *found, last)
-        return arrived(end, steps, last, met, watch)
+        first = (interval.start, jnp.zeros((), int), state, warm_start, peaks, watch)
+        _, steps, end, last, peaks, watch = while_loop(lambda carry: carry[0] < stop, one, first)
+        outputs = end, self._all_peaks(model, peaks, interval.peaks), watch
+        end, peaks, watch = self._trusted(model, *outputs, last)
+        return arrived(end, steps, last, peaks, watch)
 
-    def _nothing_met(self, model, last, so_far):
+    def _first_peaks(self, model, last, so_far):
         """What was met before the first step, behind these peaks of the run; None where nothing
         looks at contacts."""
         if last[0] is None:
             return None
         depths = last[0].depths
-        begun = nothing_met(depths, self.formulation.damped(model))
-        return since(so_far, begun) if self._derived(model) else begun
+        first_depths = no_peaks(depths, self.formulation.damped(model))
+        return since(so_far, first_depths) if self._derived(model) else first_depths
 
-    def _all_met(self, model, met, so_far):
+    def _all_peaks(self, model, peaks, so_far):
         """What was met in an interval, its peaks with the derivatives of those of the run."""
-        known = met is None or self._derived(model)
-        return met if known else among(so_far, met)
+        plain_step = peaks is None or self._derived(model)
+        return peaks if plain_step else among(so_far, peaks)

@@ -18,8 +18,8 @@ from jaxclear.ground.grouping import packed, unpacked, unstacked
 from jaxclear.ground.numerics import positive_part
 from jaxclear.ground.quantity import Scalar, constant, count, quantity
 from jaxclear.integrators.base import AbstractIntegrator, arrived, counted, divide, march
-from jaxclear.integrators.events import Peaks, among, nothing_met, risen, since, watch_from, watched
-from jaxclear.integrators.variational import beside_steps, nothing_beside, so_far, trusted_beside
+from jaxclear.integrators.events import Peaks, among, no_peaks, risen, since, watch_from, watched
+from jaxclear.integrators.variational import not_resolved, resolved_steps, so_far, trust_resolved
 from jaxclear.multibody.state import unpack_motion
 from jaxclear.multibody.system import System, prepare
 
@@ -86,7 +86,7 @@ class ImplicitStep(AbstractIntegrator):
     def with_finer_steps(self, share):
         if self.steps_per_save is not None:
             return None
-        return eqx.tree_at(lambda own: own.step, self, share * self.step)
+        return eqx.tree_at(lambda a: a.step, self, share * self.step)
 
     @property
     def opens_loops(self):
@@ -116,11 +116,11 @@ class ImplicitStep(AbstractIntegrator):
         """What warm-starts a step; and what is known of the motion beside the run, None where no
         derivatives go through contacts."""
         last = self.formulation.warm_start(model, start, state)
-        last = self._held(model, start, state, last)
+        last = self._fixed(model, start, state, last)
         if not self._derived(model):
             return last, None
-        known = nothing_beside(model.layout.size, model.layout.joint_contacts, _damped(model))
-        return last, known
+        separate = not_resolved(model.layout.size, model.layout.joint_contacts, _damped(model))
+        return last, separate
 
     def _derived(self, model):
         return self.through_contacts and model.system.bearings and not model.discrete
@@ -132,41 +132,41 @@ class ImplicitStep(AbstractIntegrator):
     def _stepped(self, model):
         """A step, as a function of (its start and length [s], state, last, met)."""
         of_model, rest = packed(model)
-        of_own, others = eqx.partition(self, eqx.is_array)
-        arrays = of_model, of_own
+        arrays_of, others = eqx.partition(self, eqx.is_array)
+        arrays = of_model, arrays_of
         depths, damped = _depths(model), _damped(model)
 
-        def plain(arrays, clock, y, last, met):
-            model, own = unpacked(arrays[0], rest), eqx.combine(arrays[1], others)
-            how = own._bias, own._iterations(model.system)
-            end, now = own.formulation.implicit_step(model, TimeStep(*clock), y, last, *how)
+        def plain(arrays, clock, y, last, peaks):
+            model, method = unpacked(arrays[0], rest), eqx.combine(arrays[1], others)
+            how = method._bias, method._iterations(model.system)
+            end, now = method.formulation.implicit_step(model, TimeStep(*clock), y, last, *how)
             end = closed(model, sum(clock), end, clock[1])
-            if met is None:
+            if peaks is None:
                 return end, now, None
             forces = now[-model.layout.joint_contacts :] if damped else None
-            return end, now, risen(met, now[depths], forces)
+            return end, now, risen(peaks, now[depths], forces)
 
         if not self._derived(model):
 
-            def alone(clock, y, last, met):
-                end, now, met = plain(arrays, clock, y, last[0], met)
-                return end, (now, None), met
+            def alone(clock, y, last, peaks):
+                end, now, peaks = plain(arrays, clock, y, last[0], peaks)
+                return end, (now, None), peaks
 
             return alone
-        step = beside_steps(self.formulation, rest, plain)
+        step = resolved_steps(self.formulation, rest, plain)
 
-        def derived(clock, y, last, met):
-            end, now, met, known = step(arrays, clock, y, last[0], met, last[1])
-            return end, (now, known), met
+        def derived(clock, y, last, peaks):
+            end, now, peaks, separate = step(arrays, clock, y, last[0], peaks, last[1])
+            return end, (now, separate), peaks
 
         return derived
 
-    def _trusted(self, model, end, met, watch, last):
+    def _trusted(self, model, end, peaks, watch, last):
         """All that was found, where its derivative can be trusted; events have none."""
-        known = last[1]
-        return (end, met, watch) if known is None else trusted_beside(end, met, watch, known)
+        split = last[1]
+        return (end, peaks, watch) if split is None else trust_resolved(end, peaks, watch, split)
 
-    def _held(self, model, start, state, last):
+    def _fixed(self, model, start, state, last):
         """A warm start that knows what contacts hold where a run begins."""
         if not model.layout.joint_contacts:
             return last
@@ -199,42 +199,42 @@ class ImplicitStep(AbstractIntegrator):
         """Iterations on the contact laws, and on couplings that give."""
         if self.newton_iterations is not None:
             return self.newton_iterations
-        if any(own.coupling.play is not None for own in system.transmissions.values()):
+        if any(t.coupling.play is not None for t in system.transmissions.values()):
             return DAMPED_ITERATIONS
-        laws = [own.contact for bearing in system.bearings.values() for own in bearing.contact_laws]
+        laws = [t.contact for bearing in system.bearings.values() for t in bearing.contact_laws]
         return DAMPED_ITERATIONS if any(law.restitution is None for law in laws) else ITERATIONS
 
     def advance(self, model, interval, state, warm_start):
         steps, h = divide(interval, self.step, self.steps_per_save)
         step, contacts = self._stepped(model), model.layout.joint_contacts
-        last, known = warm_start
+        last, separate = warm_start
         state = self._sped_up(model, state, last, -h)
-        met = None
+        highest = None
         if contacts:
             last = last.at[_depths(model)].set(_worn_deeper(model, interval.start, state, last))
-            begun = positive_part(last[_depths(model)])
-            peaks = nothing_met(begun, _damped(model))._replace(depths=begun)
+            first_depths = positive_part(last[_depths(model)])
+            peaks = no_peaks(first_depths, _damped(model))._replace(depths=first_depths)
             derived = self._derived(model)
-            met = since(_of_joints(model, interval.peaks), peaks) if derived else peaks
+            highest = since(_of_joints(model, interval.peaks), peaks) if derived else peaks
 
         def one(index, state, carried):
-            last, met, watch = carried
+            last, peaks, watch = carried
             time = interval.start + index * h
-            end, last, met = step((time, h), state, last, met)
-            return end, (last, met, watched(watch, model, time, h, end))
+            end, last, peaks = step((time, h), state, last, peaks)
+            return end, (last, peaks, watched(watch, model, time, h, end))
 
-        known = None if known is None else so_far(known)
-        carried = (last, known), met, watch_from(model, interval.start, state)
+        separate = None if separate is None else so_far(separate)
+        carried = (last, separate), highest, watch_from(model, interval.start, state)
         if self.steps_per_save is None:
-            end, (last, met, watch) = march(one, steps, state, carried)
+            end, (last, highest, watch) = march(one, steps, state, carried)
         else:
             turn = lambda index, carry: one(index, *carry)
-            end, (last, met, watch) = counted(turn, self.steps_per_save, (state, carried))
+            end, (last, highest, watch) = counted(turn, self.steps_per_save, (state, carried))
         if contacts and not self._derived(model):
-            met = among(_of_joints(model, interval.peaks), met)
+            highest = among(_of_joints(model, interval.peaks), highest)
         end = self._sped_up(model, end, last[0], h)
-        end, met, watch = self._trusted(model, end, met, watch, last)
-        return arrived(end, steps, last, _with_flanks(model, met), watch)
+        end, highest, watch = self._trusted(model, end, highest, watch, last)
+        return arrived(end, steps, last, _with_flanks(model, highest), watch)
 
 
 def _worn_deeper(model: Model, time: Any, state: State, last: Array) -> Array:
@@ -244,8 +244,8 @@ def _worn_deeper(model: Model, time: Any, state: State, last: Array) -> Array:
     if not model.worn:
         return depths
     motion = unpack_motion(model.system, model.entries(state))
-    found = sp.stack(contact_rows.indentations(model, time, *motion))
-    return jnp.where(depths > 0, found, depths)
+    depths_now = sp.stack(contact_rows.indentations(model, time, *motion))
+    return jnp.where(depths > 0, depths_now, depths)
 
 
 def _depths(model: Model) -> slice:
@@ -266,9 +266,9 @@ def _of_joints(model: Model, peaks: Peaks | None) -> Peaks | None:
     return jax.tree.map(lambda each: each[: model.layout.joint_contacts], peaks)
 
 
-def _with_flanks(model: Model, met: Peaks | None) -> Peaks | None:
+def _with_flanks(model: Model, peaks: Peaks | None) -> Peaks | None:
     """The peaks with zeros for the flanks of play."""
-    if met is None or not model.layout.plays:
-        return met
+    if peaks is None or not model.layout.plays:
+        return peaks
     none = jnp.zeros(2 * len(model.layout.plays))
-    return jax.tree.map(lambda each: jnp.concatenate([each, none]), met)
+    return jax.tree.map(lambda each: jnp.concatenate([each, none]), peaks)

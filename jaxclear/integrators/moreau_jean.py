@@ -20,7 +20,7 @@ places are off, and to which share approach speeds are: as much are derivatives 
 
 At the end of a run an impact may be due that the run has not taken yet, or have been taken that is
 not due yet. Its derivative is then that of another motion, which runs in longer steps may share,
-and is not known (`known_at_end`).
+and is not known (`judge_end`).
 
 None of this is in a program of which no derivative is asked. Source: as `saltation`.
 """
@@ -55,12 +55,12 @@ from jaxclear.ground.tangents import (
 from jaxclear.integrators.base import RIGID, AbstractIntegrator, Interval, divide, searching_steps
 from jaxclear.integrators.derivative_error import IMPACT_FIGURES, NO_SECOND, trusted_impacts
 from jaxclear.integrators.saltation import FIRST
-from jaxclear.multibody.reach import gaps_passed
+from jaxclear.multibody.reach import gaps_crossed
 from jaxclear.multibody.topology import rubbing_in
 from jaxclear.native import one_row
 
 # Contacts that strike in one step do so at once where their instants move alike, to this share.
-AT_ONCE = 1e-6
+SIMULTANEOUS = 1e-6
 # An instant moves where the gap does by more than rounding beside the state.
 ROUNDING = 1e-12
 
@@ -90,7 +90,7 @@ class _Steps(NamedTuple):
     model: Callable
 
 
-class _Way(NamedTuple):
+class _Tangent(NamedTuple):
     """A derivative at the start of a step: of arrays, of time and length, of state and of `last`;
     `late`: by what indentation it is off there all the same."""
 
@@ -107,29 +107,29 @@ def through_impacts(step: Callable, formulation: RigidContact, rest: Any) -> Cal
     `step(model, settings, time step, state, last)`: (state, last). `arrays`: of model and settings,
     of which this is the `rest`; `clock`: time [s] and length [s]. `growth`: `Moves`."""
 
-    def gone(how, arrays, clock, y, last):
+    def step_by(how, arrays, clock, y, last):
         model, settings = unpacked(arrays, rest)
         return step(model, settings._replace(**how), TimeStep(*clock), y, last)
 
     def rates(arrays, clock, y, last):
-        return (gone({"gentle": True}, arrays, clock, y, last)[0] - y) / clock[1]
+        return (step_by({"gentle": True}, arrays, clock, y, last)[0] - y) / clock[1]
 
     strikes = _strikes(formulation, rest)
-    steps = _Steps(gone, strikes, rates, lambda arrays: unpacked(arrays, rest)[0])
+    steps = _Steps(step_by, strikes, rates, lambda arrays: unpacked(arrays, rest)[0])
 
     @jax.custom_jvp
-    def known(*numbers):
+    def rule(*numbers):
         *here, growth = numbers
-        end, left = gone({}, *here)
-        return end, left, moving_with(end[0], growth)
+        end, now_end = step_by({}, *here)
+        return end, now_end, moving_with(end[0], growth)
 
     def moving(numbers, tangents):
         *here, growth = numbers
-        (end, left), gone_way, grown = _moved(steps, tuple(here), tangents)
-        return (end, left, moving_with(end[0], growth)), (*gone_way, grown)
+        (end, now_end), d_step, grown = _moved(steps, tuple(here), tangents)
+        return (end, now_end, moving_with(end[0], growth)), (*d_step, grown)
 
-    known.defjvp(moving, symbolic_zeros=True)
-    return known
+    rule.defjvp(moving, symbolic_zeros=True)
+    return rule
 
 
 def _strikes(formulation: RigidContact, rest: Any) -> Callable:
@@ -145,47 +145,47 @@ def _strikes(formulation: RigidContact, rest: Any) -> Callable:
 def _moved(steps: _Steps, here: tuple, tangents: Any) -> tuple[tuple, tuple, Moves]:
     """((state, last) behind a step, their derivatives, what is carried along)."""
     arrays, (time, h), *_ = here
-    *given, grown = tangents
-    met = steps.strikes(*here)
-    wanted = jnp.any(met.which)
+    *d_here, grown = tangents
+    strikes = steps.strikes(*here)
+    needed = jnp.any(strikes.which)
     figures, off, off_last = map(moved, grown)
     still = jax.tree.map(SymbolicZero.from_primal_value, (arrays, (time, h)))
-    arrays_way, clock_way = still
-    ways = _Way(*given), _Way(arrays_way, clock_way, off, off_last, met.depths)
+    d_arr, d_clock = still
+    d_in = _Tangent(*d_here), _Tangent(d_arr, d_clock, off, off_last, strikes.depths)
 
     def before(carry):
         states, _, figures = carry
         flow = steps.rates(*here)
         along = _along(steps, here, flow)
-        found = [_shift(steps, here, way, met, along) for way in ways]
-        late = abs(found[0].shift)
-        late = jnp.where(late * found[0].speed > ROUNDING * jnp.max(abs(states[0])), late, 0.0)
-        states = [state + one.shift * flow for state, one in zip(states, found, strict=True)]
-        return tuple(states), tuple(one.shift for one in found), _grown(figures, late, *found)
+        delays = [_shift(steps, here, d, strikes, along) for d in d_in]
+        late = abs(delays[0].shift)
+        late = jnp.where(late * delays[0].speed > ROUNDING * jnp.max(abs(states[0])), late, 0.0)
+        states = [state + one.shift * flow for state, one in zip(states, delays, strict=True)]
+        return tuple(states), tuple(one.shift for one in delays), _grown(figures, late, *delays)
 
     none = jnp.zeros(())
-    carry = (moved(ways[0].state), off), (none, none), figures
-    states, shifts, figures = apply_if(wanted, before, carry)
-    striking = lambda *numbers: steps.step({"striking": wanted}, *numbers)
+    carry = (moved(d_in[0].state), off), (none, none), figures
+    states, shifts, figures = apply_if(needed, before, carry)
+    striking = lambda *numbers: steps.step({"striking": needed}, *numbers)
     pairs = []
-    for way, state, shift in zip(ways, states, shifts, strict=True):
-        clock = moved(way.clock[0]) + shift, way.clock[1]
-        found, gone = pushed(striking, here, (way.arrays, clock, state, way.last))
-        pairs.append(gone)
-    (end, left), (gone, off) = found, pairs
+    for d, state, shift in zip(d_in, states, shifts, strict=True):
+        clock = moved(d.clock[0]) + shift, d.clock[1]
+        values, d_end = pushed(striking, here, (d.arrays, clock, state, d.last))
+        pairs.append(d_end)
+    (end, now_end), (d_end, off) = values, pairs
 
     def behind(carry):
         (state, off), figures = carry
-        flow = steps.rates(arrays, (time + h, h), end, left)
+        flow = steps.rates(arrays, (time + h, h), end, now_end)
         off = off - shifts[1] * flow
         return (state - shifts[0] * flow, off), _placed(figures, steps.model(arrays), off)
 
-    (state, ends), figures = apply_if(wanted, behind, ((gone[0], off[0]), figures))
-    return (end, left), (state, gone[1]), Moves(figures, ends, off[1])
+    (state, ends), figures = apply_if(needed, behind, ((d_end[0], off[0]), figures))
+    return (end, now_end), (state, d_end[1]), Moves(figures, ends, off[1])
 
 
-def known_at_end(
-    formulation: RigidContact, rest: Any, now: tuple, growth: Moves, found: Array
+def judge_end(
+    formulation: RigidContact, rest: Any, now: tuple, growth: Moves, figures: Array
 ) -> Array:
     """What was found at saving times, in rows; its derivative at the last one is nan where a
     contact in flight overlaps there, by what the run is off: it has struck and should not have, or
@@ -195,20 +195,20 @@ def known_at_end(
 
     strikes = _strikes(formulation, rest)
 
-    def due(arrays, clock, y, last, *off):
-        def met(*here):
-            found = strikes(arrays, clock, *here)
-            return (found.depths, found.rates), found.flying
+    def evaluate(arrays, clock, y, last, *off):
+        def strikes_at(*here):
+            strikes_now = strikes(arrays, clock, *here)
+            return (strikes_now.depths, strikes_now.rates), strikes_now.flying
 
-        (depths, rates), (deeper, _), flying = jax.jvp(met, (y, last), off, has_aux=True)
+        (depths, rates), (deeper, _), flying = jax.jvp(strikes_at, (y, last), off, has_aux=True)
         return jnp.any(flying & (depths - 0.5 * clock[1] * rates + deeper >= 0))
 
     def judged(numbers, tangents):
-        _, growth, ways = tangents
-        unsure, ways = one_row(due, *numbers[0], *map(moved, growth[1:])), moved(ways)
-        return ways.at[-1].set(jnp.where(unsure, Unknown.AT_ONCE.number, ways[-1]))
+        _, growth, d_in = tangents
+        unsure, d_in = one_row(evaluate, *numbers[0], *map(moved, growth[1:])), moved(d_in)
+        return d_in.at[-1].set(jnp.where(unsure, Unknown.AT_ONCE.number, d_in[-1]))
 
-    return derived(lambda now, growth, found: found, judged)(now, growth, found)
+    return derived(lambda now, growth, figures: figures, judged)(now, growth, figures)
 
 
 class _Shift(NamedTuple):
@@ -216,7 +216,7 @@ class _Shift(NamedTuple):
     by how much faster [m/s]; and how fast it is [m/s]."""
 
     shift: Scalar
-    alike: Any
+    same: Any
     faster: Scalar
     speed: Scalar
 
@@ -229,23 +229,23 @@ def _along(steps: _Steps, here: tuple, flow: Any) -> tuple:
     return jax.jvp(depths, (time, y), (jnp.ones_like(time), flow))[1]
 
 
-def _shift(steps: _Steps, here: tuple, way: _Way, met: Strikes, along: tuple) -> _Shift:
+def _shift(steps: _Steps, here: tuple, d: _Tangent, hits: Strikes, along: tuple) -> _Shift:
     depths = lambda *numbers: steps.strikes(*numbers)[1:3]
-    deeper, faster = pushed(depths, here, (way.arrays, way.clock, way.state, way.last))[1]
-    late = jnp.where(met.which, -safe_divide(deeper + way.late, along[0]), 0.0)
-    shift = jnp.sum(late) / jnp.sum(jnp.where(met.which, 1.0, 0.0))
-    apart = jnp.max(jnp.where(met.which, abs(late - shift), 0.0))
-    both = jnp.stack([abs(faster + shift * along[1]), met.rates])
-    faster, speed = jnp.max(jnp.where(met.which, both, 0.0), 1)
-    return _Shift(shift, apart <= AT_ONCE * abs(shift), faster, speed)
+    deeper, faster = pushed(depths, here, (d.arrays, d.clock, d.state, d.last))[1]
+    late = jnp.where(hits.which, -safe_divide(deeper + d.late, along[0]), 0.0)
+    shift = jnp.sum(late) / jnp.sum(jnp.where(hits.which, 1.0, 0.0))
+    spread = jnp.max(jnp.where(hits.which, abs(late - shift), 0.0))
+    both = jnp.stack([abs(faster + shift * along[1]), hits.rates])
+    faster, speed = jnp.max(jnp.where(hits.which, both, 0.0), 1)
+    return _Shift(shift, spread <= SIMULTANEOUS * abs(shift), faster, speed)
 
 
-def _grown(figures: Array, late: Scalar, found: _Shift, error: _Shift) -> Array:
+def _grown(figures: Array, late: Scalar, shift: _Shift, error: _Shift) -> Array:
     """The figures before an impact that moves so, and is off by so much."""
     count, first, most, unknown, place, speeds, speed = [figures[i] for i in range(IMPACT_FIGURES)]
     count = count + jnp.where(late > 0, 1.0, 0.0)
     first = jnp.where(count <= FIRST, jnp.maximum(first, late), first)
-    unknown = jnp.where(found.alike, unknown, 1.0)
+    unknown = jnp.where(shift.same, unknown, 1.0)
     most = jnp.maximum(most, late)
     speed = jnp.maximum(speed, error.speed)
     return jnp.stack([count, first, most, unknown, place, speeds + error.faster / speed, speed])
@@ -253,7 +253,7 @@ def _grown(figures: Array, late: Scalar, found: _Shift, error: _Shift) -> Array:
 
 def _placed(figures: Array, model: Model, off: Any) -> Array:
     """The figures behind an impact, where the state is off by so much."""
-    return figures.at[4].set(jnp.maximum(figures[4], gaps_passed(model.system, off)))
+    return figures.at[4].set(jnp.maximum(figures[4], gaps_crossed(model.system, off)))
 
 
 # Residual of the contact laws, relative to the largest velocity, beyond which they are not met.
@@ -323,7 +323,7 @@ class MoreauJean(AbstractIntegrator):
         return RIGID
 
     def with_finer_steps(self, share):
-        return eqx.tree_at(lambda own: own.step, self, share * self.step)
+        return eqx.tree_at(lambda a: a.step, self, share * self.step)
 
     @property
     def opens_loops(self):
@@ -353,7 +353,7 @@ class MoreauJean(AbstractIntegrator):
         return ""
 
     def beyond_flanks(self, mechanism):
-        plays = (own.play for own in mechanism.couplings.values() if own.play is not None)
+        plays = (c.play for c in mechanism.couplings.values() if c.play is not None)
         rigid = all(play.restitution is not None for play in plays)
         return "" if rigid else "how the instants move at which flanks meet that are not rigid"
 
@@ -375,7 +375,7 @@ class MoreauJean(AbstractIntegrator):
         _, h = divide(Interval(times[-2], times[-1], end, True), self.step)
         arrays, rest = packed((model, self._settings))
         now = arrays, (times[-1], h), end, last
-        return known_at_end(self.formulation, rest, now, moves, states)
+        return judge_end(self.formulation, rest, now, moves, states)
 
     def advance(self, model, interval, state, warm_start):
         settings = self._settings
@@ -385,18 +385,18 @@ class MoreauJean(AbstractIntegrator):
             return closed(model, time_step.end, end, time_step.length), last
 
         arrays, rest = packed((model, settings))
-        known = through_impacts(step, self.formulation, rest)
+        step_fn = through_impacts(step, self.formulation, rest)
 
         def followed(time_step, state, last):
             last, moves = last
             if moves is None:
                 end, last = step(model, settings, time_step, state, last)
             else:
-                end, last, moves = known(arrays, tuple(time_step), state, last, moves)
+                end, last, moves = step_fn(arrays, tuple(time_step), state, last, moves)
             return end, (last, moves)
 
-        found = searching_steps(interval, self.step, followed, (state, warm_start), LOOSE)
+        answer = searching_steps(interval, self.step, followed, (state, warm_start), LOOSE)
         if not may_strike(model.system):
-            return found
-        state = trusted_impacts(found.state, found.warm_start[1].figures)
-        return found._replace(state=allow_first_derivative(NO_SECOND, state))
+            return answer
+        state = trusted_impacts(answer.state, answer.warm_start[1].figures)
+        return answer._replace(state=allow_first_derivative(NO_SECOND, state))

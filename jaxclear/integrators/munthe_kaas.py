@@ -292,14 +292,14 @@ class MuntheKaas(diffrax.AbstractAdaptiveSolver):
     interpolation_cls: ClassVar = GroupHermite
     of_order: int = eqx.field(static=True, default=4)
 
-    def __new__(cls, *given: Any, **named: Any):
-        if given or named:
-            refuse_misfit(cls, given, named)
+    def __new__(cls, *args: Any, **named: Any):
+        if args or named:
+            refuse_misfit(cls, args, named)
         return diffrax.AbstractAdaptiveSolver.__new__(cls)
 
     def __check_init__(self):
-        whole = isinstance(self.of_order, int) and not isinstance(self.of_order, bool)
-        if not whole or self.of_order not in TABLEAUS:
+        is_count = isinstance(self.of_order, int) and not isinstance(self.of_order, bool)
+        if not is_count or self.of_order not in TABLEAUS:
             raise ValueError(
                 f"the order of integrator.MuntheKaas is {self.of_order!r}; it must be 1, 2, 3 or 4."
             )
@@ -366,9 +366,9 @@ def _stages(group, rate, table, which, h, y, first):
         slopes, _, _ = carry
         increment = h * _combined(matrix[i], slopes)
         moved = group.moved(y, increment)
-        found = rate(nodes[i], moved)
-        slope = _pulled_back(group, rows - 1, increment, found)
-        return (jnp.where((jnp.arange(rows) == i)[:, None], slope, slopes), moved, found), None
+        rate_here = rate(nodes[i], moved)
+        slope = _pulled_back(group, rows - 1, increment, rate_here)
+        return (jnp.where((jnp.arange(rows) == i)[:, None], slope, slopes), moved, rate_here), None
 
     slopes = jnp.concatenate([first[None], jnp.zeros((rows - 1, len(first)))])
     return jax.lax.scan(stage, (slopes, y, first), np.array(which))[0]
@@ -382,8 +382,8 @@ def _pulled_back(group, order, increment, rate):
     """Rate of the increment from the rate of the state, to the terms that the order needs."""
     if order < 3:
         return rate
-    once = group.bracket(increment, rate)
-    if once is None:
+    bracket = group.bracket(increment, rate)
+    if bracket is None:
         return rate
-    out = rate + once / 2
-    return out if order == 3 else out + group.bracket(increment, once) / 12
+    out = rate + bracket / 2
+    return out if order == 3 else out + group.bracket(increment, bracket) / 12

@@ -63,7 +63,7 @@ class NonColliding(AbstractIntegrator):
         return PERMANENT
 
     def with_finer_steps(self, share):
-        return eqx.tree_at(lambda own: own.step, self, share * self.step)
+        return eqx.tree_at(lambda a: a.step, self, share * self.step)
 
     @property
     def opens_loops(self):

@@ -141,9 +141,9 @@ def motion_of(formulation: CompliantContact, rest: Any) -> Motion:
         return formulation.normal_forces(unpacked(arrays, rest), y, motion)
 
     if not bare(rest).layout.plays:
-        seen = lambda arrays, time, y, _: contacts(arrays, time, y)
-        depths = lambda *now: seen(*now).depths
-        same = contacts, contacts, seen, depths
+        view = lambda arrays, time, y, _: contacts(arrays, time, y)
+        depths = lambda *now: view(*now).depths
+        same = contacts, contacts, view, depths
         return Motion(counted, contacts, slips, pressing, bare(rest).layout, *same, sided=False)
     count = bare(rest).layout.joint_contacts
 
@@ -160,10 +160,10 @@ def motion_of(formulation: CompliantContact, rest: Any) -> Motion:
         depths, rates = near(*now)
         return ContactMotion(depths[:count], rates[:count])
 
-    sided = any(own.left_by_torque for own in bare(rest).system.transmissions.values())
-    seen = by_shares if sided else lambda arrays, time, y, _: contacts(arrays, time, y)
-    own = near, joints, seen, lambda *now: near(*now).depths
-    return Motion(counted, contacts, slips, pressing, bare(rest).layout, *own, sided)
+    sided = any(t.left_by_torque for t in bare(rest).system.transmissions.values())
+    view = by_shares if sided else lambda arrays, time, y, _: contacts(arrays, time, y)
+    t = near, joints, view, lambda *now: near(*now).depths
+    return Motion(counted, contacts, slips, pressing, bare(rest).layout, *t, sided)
 
 
 def equations(formulation: CompliantContact, rest: Any, plain: Callable) -> Equations:
@@ -203,31 +203,31 @@ def closed(contacts: ContactMotion) -> Any:
 def _at_moving_time(model: Motion, numbers: tuple, tangents: tuple) -> tuple:
     """The derivatives of (state, slopes, shift) at the start of a step."""
     step, (time, y), _ = numbers
-    (way, *_), (time_way, state), slopes = tangents
+    (d_arr, *_), (d_time, state), slopes = tangents
     if not model.layout.joint_contacts:
         return *jax.tree.map(moved, (state, slopes)), jnp.zeros(())
 
-    def moving(known):
-        state, slopes, _ = known
-        here, ways = (step.arrays, time, y), (way, time_way, state)
+    def moving(values):
+        state, slopes, _ = values
+        here, d_in = (step.arrays, time, y), (d_arr, d_time, state)
         flow = model.rates(step.arrays, step.shares, time, y)
-        shift = _shift(model, step, here, ways, (flow, slopes))
+        shift = _shift(model, step, here, d_in, (flow, slopes))
         state = state + shift * flow
-        ways = way, moved(time_way) + shift, state
-        return state, _slopes(model, step.shares, here, ways, slopes), shift
+        d_in = d_arr, moved(d_time) + shift, state
+        return state, _slopes(model, step.shares, here, d_in, slopes), shift
 
-    known = *jax.tree.map(moved, (state, slopes)), jnp.zeros(())
-    return apply_if(jnp.any(step.shares > 0), moving, known)
+    tangents_in = *jax.tree.map(moved, (state, slopes)), jnp.zeros(())
+    return apply_if(jnp.any(step.shares > 0), moving, tangents_in)
 
 
-def _shift(model: Motion, step: Step, here: tuple, ways: tuple, slopes: tuple) -> Any:
+def _shift(model: Motion, step: Step, here: tuple, d_in: tuple, slopes: tuple) -> Any:
     """By how much later (its derivative) a contact does in a step what it is nearest to: to close
     or open, or to slide the other way. `slopes`: the rates of the state, and their derivatives."""
     (arrays, time, y), (flow, gains) = here, slopes
     of_joints = lambda each: each[: model.layout.joint_contacts] if model.layout.plays else each
     depths, rates, shares = map(of_joints, (*step.contacts, step.shares))
     sliding = lambda *now: of_joints(model.slips(*now))
-    ahead = pushed(model.joints, here, ways)[1]
+    ahead = pushed(model.joints, here, d_in)[1]
     both = lambda time, y: (model.joints(arrays, time, y).rates, sliding(arrays, time, y))
     gain, turning = jax.jvp(both, (time, y), (jnp.ones_like(time), flow))[1]
     # A contact that opens is to do so without a difference at the end.
@@ -237,15 +237,15 @@ def _shift(model: Motion, step: Step, here: tuple, ways: tuple, slopes: tuple) -
         more = jax.jvp(lambda y: both(time, y)[0], (y,), (each,))[1]
         deeper = deeper + jnp.where(opening, 0.5 * length * length * more, 0.0)
     rates = jnp.where(opening & (gain < 0), rates + length * gain, rates)
-    slips, aside = pushed(sliding, here, ways)
+    slips, aside = pushed(sliding, here, d_in)
     inner = lambda one, other: jnp.sum(one * other, -1)
     speeds = safe_sqrt(inner(slips, slips)), safe_sqrt(inner(turning, turning))
-    way = jnp.stack([abs(depths), speeds[0]])
+    travel = jnp.stack([abs(depths), speeds[0]])
     reach = step.length * jnp.stack([abs(rates), speeds[1]])
-    near = (shares > 0) & (way < NEAR * reach)
-    left = jnp.where(near, safe_divide(way, reach), jnp.inf)
+    near = (shares > 0) & (travel < NEAR * reach)
+    remaining = jnp.where(near, safe_divide(travel, reach), jnp.inf)
     late = [safe_divide(deeper, rates), safe_divide(inner(aside, turning), inner(turning, turning))]
-    nearest = near & (left == jnp.min(left))
+    nearest = near & (remaining == jnp.min(remaining))
     count = jnp.sum(jnp.where(nearest, 1.0, 0.0))
     return -safe_divide(jnp.sum(jnp.where(nearest, jnp.stack(late), 0.0)), count)
 
@@ -253,29 +253,29 @@ def _shift(model: Motion, step: Step, here: tuple, ways: tuple, slopes: tuple) -
 def _behind(model: Motion, numbers: tuple, tangents: tuple) -> tuple:
     """The derivatives of (state, slopes, growth, events) at the end of a step."""
     step, (time, y), *_, events = numbers
-    (way, *_), (time_way, _), slopes, shift, *known = tangents
+    (d_arr, *_), (d_time, _), slopes, shift, *values = tangents
     arrays, before = step.arrays, step.shares
     here = arrays, time, y
     after = closed(model.near(*here))
     shifts = bool(model.layout.joint_contacts)
 
-    def behind(known):
-        state, slopes, growth, told = known
+    def behind(values):
+        state, slopes, growth, noted = values
         if shifts:
             state = state - moved(shift) * model.rates(arrays, before, time, y)
-        ways = way, time_way, state
-        state, *moves = passed(model, here, ways, (before, after), events is not None)
+        d_in = d_arr, d_time, state
+        state, *moves = cross(model, here, d_in, (before, after), events is not None)
         grown = _grown(growth, jnp.max(jnp.where(after > before, abs(moves[0]), 0.0)))
-        slopes = _slopes(model, after, here, (way, time_way, state), slopes)
-        return state, slopes, grown, _told(told, events, before != after, moves)
+        slopes = _slopes(model, after, here, (d_arr, d_time, state), slopes)
+        return state, slopes, grown, _events_after(noted, events, before != after, moves)
 
     changed = before != after
-    wanted = jnp.any((before > 0) | changed if shifts else changed)
-    state, growth, told = jax.tree.map(moved, tuple(known))
-    return apply_if(wanted, behind, (state, jax.tree.map(moved, slopes), growth, told))
+    needed = jnp.any((before > 0) | changed if shifts else changed)
+    state, growth, noted = jax.tree.map(moved, tuple(values))
+    return apply_if(needed, behind, (state, jax.tree.map(moved, slopes), growth, noted))
 
 
-class Passed(NamedTuple):
+class Crossed(NamedTuple):
     """Derivatives behind touches and releases at a fixed time: of the state; of every contact by
     how much later it touches or parts [s], and its rate there [m/s] (None: nobody asks)."""
 
@@ -284,19 +284,20 @@ class Passed(NamedTuple):
     speeds: Any
 
 
-def passed(model: Motion, here: tuple, ways: tuple, acting: tuple, asked: bool) -> Passed:
+def cross(model: Motion, here: tuple, d_in: tuple, acting: tuple, always: bool) -> Crossed:
     """Behind an instant at which contacts that act by these shares, (before, after), touch and
-    part; `here`: (arrays, time, state), `ways`: their derivatives before it; `asked`: for rates."""
-    (arrays, time, y), (before, after), state = here, acting, ways[2]
+    part; `here`: (arrays, time, state), `d_in`: their derivatives before it; `always`: for
+    rates."""
+    (arrays, time, y), (before, after), state = here, acting, d_in[2]
     flow = model.rates(arrays, before, time, y)
-    asked = asked or model.remembers or not model.layout.plays
-    if asked:
-        seen = lambda *here: model.seen(*here, before)
-        falls, ahead = seen(*here).rates, pushed(seen, here, ways)[1]
+    always = always or model.remembers or not model.layout.plays
+    if always:
+        view = lambda *here: model.seen(*here, before)
+        falls, ahead = view(*here).rates, pushed(view, here, d_in)[1]
         deeper = ahead.depths
     else:
         depths = lambda *here: model.depths(*here, before)
-        falls, deeper = falling(model, here, before, flow), pushed(depths, here, ways)[1]
+        falls, deeper = falling(model, here, before, flow), pushed(depths, here, d_in)[1]
     late = jnp.where(before != after, -safe_divide(deeper, falls), 0.0)
     places = jnp.arange(len(late))
 
@@ -312,13 +313,13 @@ def passed(model: Motion, here: tuple, ways: tuple, acting: tuple, asked: bool) 
 
     changes = lambda carry: jnp.any(carry[0] != after)
     state = jax.lax.while_loop(changes, one, (before, flow, state))[2]
-    if not asked:
-        return Passed(state, late, None)
-    along = lambda time, y: seen(arrays, time, y).rates
+    if not always:
+        return Crossed(state, late, None)
+    along = lambda time, y: view(arrays, time, y).rates
     gain = jax.jvp(along, (time, y), (jnp.ones_like(time), flow))[1]
     speeds = ahead.rates + gain * late
     state = with_impact_speeds(model.layout, state, after > before, speeds)
-    return Passed(state, late, speeds)
+    return Crossed(state, late, speeds)
 
 
 def falling(model: Motion, here: tuple, acting: Any, flow: Any) -> Any:
@@ -329,32 +330,30 @@ def falling(model: Motion, here: tuple, acting: Any, flow: Any) -> Any:
     return jax.jvp(depths, (time, y), (jnp.ones_like(time), flow))[1]
 
 
-def _told(told: Any, events: Any, happened: Any, ways: tuple) -> Any:
+def _events_after(noted: Any, events: Any, happened: Any, d_in: tuple) -> Any:
     """Derivatives of the events noted so far, the last of each contact being what has happened at
     the end of this step, with derivatives of its instant and rate."""
     if events is None:
         return None
     places = jnp.arange(events.times.shape[1], dtype=float)
     here = (places == events.counts[:, None] - 1) & happened[:, None]
-    times, rates = (
-        jnp.where(here, way[:, None], each) for way, each in zip(ways, told, strict=False)
-    )
-    return told._replace(times=times, rates=rates)
+    times, rates = (jnp.where(here, d[:, None], each) for d, each in zip(d_in, noted, strict=False))
+    return noted._replace(times=times, rates=rates)
 
 
 def _grown(growth: Array, late: Scalar) -> Array:
     """After touches of which one comes that much later (0: none does)."""
-    met, first, most = growth[0], growth[1], growth[2]
-    met = met + jnp.where(late > 0, 1.0, 0.0)
-    first = jnp.where(met <= FIRST, jnp.maximum(first, late), first)
-    return jnp.stack([met, first, jnp.maximum(most, late)])
+    touched, first, most = growth[0], growth[1], growth[2]
+    touched = touched + jnp.where(late > 0, 1.0, 0.0)
+    first = jnp.where(touched <= FIRST, jnp.maximum(first, late), first)
+    return jnp.stack([touched, first, jnp.maximum(most, late)])
 
 
-def _slopes(model: Motion, shares: Any, here: tuple, ways: tuple, slopes: Any) -> Any:
+def _slopes(model: Motion, shares: Any, here: tuple, d_in: tuple, slopes: Any) -> Any:
     """The derivatives of slopes at (arrays, time, state) with these derivatives."""
     rate = lambda arrays, time, y: model.rates(arrays, shares, time, y)
-    found = pushed(rate, here, ways)[1]
-    return jax.tree.map(lambda _: found, slopes)
+    slope = pushed(rate, here, d_in)[1]
+    return jax.tree.map(lambda _: slope, slopes)
 
 
 def with_impact_speeds(layout: Layout, state: Any, taken: Any, speeds: Any) -> Any:
@@ -383,7 +382,7 @@ class Now(NamedTuple):
 
 
 def through_touches(
-    formulation: CompliantContact, rest: Any, plain: Callable, length: Callable, seen: Callable
+    formulation: CompliantContact, rest: Any, plain: Callable, length: Callable, view: Callable
 ) -> Callable:
     """A step with its derivative, as a function of (arrays, clock, state, last, met).
 
@@ -395,76 +394,76 @@ def through_touches(
     motion = motion_of(formulation, rest)
 
     @jax.custom_jvp
-    def step(arrays, clock, y, last, met):
+    def step(arrays, clock, y, last, peaks):
         length, end, now = plain(arrays, clock, y, last)
-        met = seen(arrays, end, met, (last, now))
-        return length, end, now, met
+        peaks = view(arrays, end, peaks, (last, now))
+        return length, end, now, peaks
 
     def moving(numbers, tangents):
-        arrays, clock, y, last, met = numbers
-        way, clock_way, state, last_way, met_way = tangents
+        arrays, clock, y, last, peaks = numbers
+        d_arr, d_clock, state, d_last, d_peaks = tangents
         remembering = _remembering(formulation, rest, motion)
         contacts, aware, state = remembering(
-            (arrays[0], clock[0], y, last), (way[0], clock_way[0], state, last_way)
+            (arrays[0], clock[0], y, last), (d_arr[0], d_clock[0], state, d_last)
         )
         h = length(clock, contacts, last)
-        begun = Now(arrays[0], clock[0], aware, h, ContactMotion(*contacts))
-        acting = closed(begun.contacts)
-        shifted, shift = at_moving_time(motion, begun, acting, (way[0], clock_way[0], state))
-        clock_ways = moved(clock_way[0]) + shift, *clock_way[1:]
-        here, ways = (arrays, clock, aware, last), (way, clock_ways, shifted, last_way)
-        (h, end, now), (longer, gone, left) = pushed(plain, here, ways)
-        gone = at_fixed_time(motion, begun, acting, end, (gone, shift))
-        times = clock_way[0], longer if moves(clock_way) else None
-        changed, apart = taken_apart(motion, begun, end, (way[0], times, state))
-        gone = jnp.where(changed, apart, gone)
-        stop = clock_way[0] if times[1] is None else moved(clock_way[0]) + moved(longer)
-        ways = way[0], (clock_way[0], state), (stop, gone), met_way
-        higher = _higher(motion, begun, (end, met, arrays[2]), ways)
-        found = h, end, now, seen(arrays, end, met, (last, now))
-        return found, (longer, gone, left, higher)
+        start = Now(arrays[0], clock[0], aware, h, ContactMotion(*contacts))
+        acting = closed(start.contacts)
+        shifted, shift = at_moving_time(motion, start, acting, (d_arr[0], d_clock[0], state))
+        d_clocks = moved(d_clock[0]) + shift, *d_clock[1:]
+        here, d_in = (arrays, clock, aware, last), (d_arr, d_clocks, shifted, d_last)
+        (h, end, now), (longer, d_end, d_now) = pushed(plain, here, d_in)
+        d_end = at_fixed_time(motion, start, acting, end, (d_end, shift))
+        times = d_clock[0], longer if moves(d_clock) else None
+        changed, separated = separate(motion, start, end, (d_arr[0], times, state))
+        d_end = jnp.where(changed, separated, d_end)
+        stop = d_clock[0] if times[1] is None else moved(d_clock[0]) + moved(longer)
+        d_in = d_arr[0], (d_clock[0], state), (stop, d_end), d_peaks
+        higher = _higher(motion, start, (end, peaks, arrays[2]), d_in)
+        results = h, end, now, view(arrays, end, peaks, (last, now))
+        return results, (longer, d_end, d_now, higher)
 
     step.defjvp(moving, symbolic_zeros=True)
     return step
 
 
-def _higher(motion: Any, begun: Now, ended: tuple, ways: tuple) -> Any:
+def _higher(motion: Any, first: Now, ended: tuple, d_in: tuple) -> Any:
     """The derivative of the peaks behind a step. `ended`: its end, the peaks until its start, and
-    in the run before its interval; `ways`: derivatives of (arrays, (time, state) at its start, at
+    in the run before its interval; `d_in`: derivatives of (arrays, (time, state) at its start, at
     its end, peaks)."""
-    end, known, so_far = ended
-    start, stop = (begun.time, begun.state), (begun.time + begun.length, end)
-    motions = motions_over(motion, begun, end)
+    end, highest, so_far = ended
+    start, stop = (first.time, first.state), (first.time + first.length, end)
+    motions = motions_over(motion, first, end)
     go = lambda arrays, *now: peaks(motion, arrays, now[:2], motions, now[2], so_far)
-    return pushed(go, (begun.arrays, start, stop, known), ways)[1]
+    return pushed(go, (first.arrays, start, stop, highest), d_in)[1]
 
 
-def motions_over(motion: Any, begun: Now, end: Any) -> tuple[ContactMotion, ContactMotion]:
+def motions_over(motion: Any, start: Now, end: Any) -> tuple[ContactMotion, ContactMotion]:
     """The motion of the contacts at both ends of a step."""
-    first = begun.contacts
+    first = start.contacts
     if motion.layout.plays:
-        first = motion.contacts(begun.arrays, begun.time, begun.state)
-    return first, motion.contacts(begun.arrays, begun.time + begun.length, end)
+        first = motion.contacts(start.arrays, start.time, start.state)
+    return first, motion.contacts(start.arrays, start.time + start.length, end)
 
 
-def at_moving_time(motion: Any, begun: Now, acting: Any, ways: tuple) -> tuple:
+def at_moving_time(motion: Any, start: Now, acting: Any, d_in: tuple) -> tuple:
     """The derivative of the state where a step begins, at a time that moves with touches
-    (`saltation`), and by how much that does. `ways`: derivatives of (arrays, time, state)."""
-    way, time, state = ways
-    step = Step(begun.arrays, begun.contacts, begun.length, acting)
-    ways = (way, None, None), (time, moved(state)), ()
-    state, _, shift = _at_moving_time(motion, (step, (begun.time, begun.state), ()), ways)
+    (`saltation`), and by how much that does. `d_in`: derivatives of (arrays, time, state)."""
+    d_arr, time, state = d_in
+    step = Step(start.arrays, start.contacts, start.length, acting)
+    d_in = (d_arr, None, None), (time, moved(state)), ()
+    state, _, shift = _at_moving_time(motion, (step, (start.time, start.state), ()), d_in)
     return state, shift
 
 
-def at_fixed_time(motion: Any, begun: Now, acting: Any, end: Any, moves: tuple) -> Any:
+def at_fixed_time(motion: Any, start: Now, acting: Any, end: Any, moves: tuple) -> Any:
     """The derivative of the state where a step ends, at a fixed time. `moves`: (that at a time
     which moves, by how much that does)."""
-    (way, shift), time = moves, begun.time + begun.length
+    (d_arr, shift), time = moves, start.time + start.length
     if not motion.layout.joint_contacts:
-        return way
-    back = lambda way: way - shift * motion.rates(begun.arrays, acting, time, end)
-    return apply_if(jnp.any(acting > 0), back, way)
+        return d_arr
+    back = lambda d_arr: d_arr - shift * motion.rates(start.arrays, acting, time, end)
+    return apply_if(jnp.any(acting > 0), back, d_arr)
 
 
 def moves(tree: Any) -> bool:
@@ -480,44 +479,44 @@ def _remembering(formulation: CompliantContact, rest: Any, motion: Any) -> Calla
 
     def aware(arrays, time, y, last):
         contacts = motion.near(arrays, time, y)
-        known = formulation.remember(unpacked(arrays, rest), y, last[0], contacts, last[1])
-        return contacts, known
+        remembered = formulation.remember(unpacked(arrays, rest), y, last[0], contacts, last[1])
+        return contacts, remembered
 
     def both(numbers, tangents):
         if not motion.remembers:
             return motion.near(*numbers[:3]), numbers[2], moved(tangents[2])
         (contacts, now), (_, state) = pushed(aware, numbers, tangents)
-        y, before, known = numbers[2], numbers[3][0], moved(tangents[2])
+        y, before, remembered = numbers[2], numbers[3][0], moved(tangents[2])
         entries = [state[i] for i in range(len(state))]
         for i, place in enumerate(places):
             if place is not None:
                 taken = (y[place] <= 0) & (now[place] > 0) & (before.depths[i] < 0)
-                entries[place] = jnp.where(taken, known[place], entries[place])
+                entries[place] = jnp.where(taken, remembered[place], entries[place])
         return contacts, now, jnp.stack(entries)
 
     return both
 
 
-def taken_apart(motion: Any, begun: Now, end: Any, ways: tuple) -> tuple[Any, Any]:
+def separate(motion: Any, start: Now, end: Any, d_in: tuple) -> tuple[Any, Any]:
     """A step in which a contact closes or parts, at whose end the state is about `end`: whether one
     has changed, and the derivative of the state at the end.
-    `ways`: derivatives of arrays, of (time, length), and of the state."""
-    way, (time_way, longer), state = ways
-    time, h = begun.time, begun.length
-    before = closed(begun.contacts)
-    after = closed(motion.near(begun.arrays, time + h, end))
+    `d_in`: derivatives of arrays, of (time, length), and of the state."""
+    d_arr, (d_time, longer), state = d_in
+    time, h = start.time, start.length
+    before = closed(start.contacts)
+    after = closed(motion.near(start.arrays, time + h, end))
     changed = before != after
     any_changed = jnp.any(changed)
 
-    def met(share):
-        first, last = motions_over(motion, begun, end)
+    def gap_at(share):
+        first, last = motions_over(motion, start, end)
         path = (first.depths, last.depths, h * first.rates, h * last.rates)
         return passage(constant(path), 0.0, share, any_changed)
 
-    shares = apply_if(any_changed, met, jnp.ones_like(before))
+    shares = apply_if(any_changed, gap_at, jnp.ones_like(before))
     turns = jnp.where(any_changed, jnp.sum(changed.astype(int)) + 1, 0)
     if longer is not None:
-        state = state - moved(time_way) * motion.rates(begun.arrays, before, time, begun.state)
+        state = state - moved(d_time) * motion.rates(start.arrays, before, time, start.state)
 
     def turn(carry):
         i, share, y, state, acting = carry
@@ -526,55 +525,55 @@ def taken_apart(motion: Any, begun: Now, end: Any, ways: tuple) -> tuple[Any, An
         hit = pending & (shares <= until)
         length = (until - share) * h
         at = time + share * h
-        part = Now(begun.arrays, at, y, length, motion.near(begun.arrays, at, y))
-        y, state = along(motion, part, acting, (way, state))
+        part = Now(start.arrays, at, y, length, motion.near(start.arrays, at, y))
+        y, state = along(motion, part, acting, (d_arr, state))
         at = time + until * h
-        y, state, later = passed_within(motion, begun, (way, state), at, y, (acting, hit))
+        y, state, later = cross_within(motion, start, (d_arr, state), at, y, (acting, hit))
         acting = jnp.where(hit, after, acting)
         return i + 1, until + later / h, y, state, acting
 
-    first = jnp.zeros((), int), jnp.zeros(()), begun.state, state, before
+    first = jnp.zeros((), int), jnp.zeros(()), start.state, state, before
     state = jax.lax.while_loop(lambda carry: carry[0] < turns, turn, first)[3]
     if longer is not None:
-        moves = moved(time_way) + moved(longer)
-        state = state + moves * motion.rates(begun.arrays, after, time + h, end)
+        moves = moved(d_time) + moved(longer)
+        state = state + moves * motion.rates(start.arrays, after, time + h, end)
     return any_changed, state
 
 
-def passed_within(motion: Any, begun: Now, ways: tuple, at: Any, y: Any, acts: tuple) -> tuple:
+def cross_within(motion: Any, start: Now, d_in: tuple, at: Any, y: Any, acts: tuple) -> tuple:
     """(state, its derivative, by how much later [s]) behind what is `hit` at a time."""
-    (way, state), (acting, hit) = ways, acts
-    flow, here = motion.rates(begun.arrays, acting, at, y), (begun.arrays, at, y)
+    (d_arr, state), (acting, hit) = d_in, acts
+    flow, here = motion.rates(start.arrays, acting, at, y), (start.arrays, at, y)
     if motion.layout.plays:
         depths, rates = motion.depths(*here, acting), falling(motion, here, acting, flow)
     else:
         depths, rates = motion.contacts(*here)
-    most = BEHIND * begun.length
+    most = BEHIND * start.length
     short = jnp.where(hit, -safe_divide(depths, rates) + most, 0.0)
-    later = jnp.where(jnp.any(hit), jnp.max(jnp.where(hit, short, -begun.length)), 0.0)
+    later = jnp.where(jnp.any(hit), jnp.max(jnp.where(hit, short, -start.length)), 0.0)
     y, at = y + later * flow, at + later
     then = jnp.where(hit, 1 - acting, acting)
-    ways = way, jnp.zeros(()), state
-    found = passed(motion, (begun.arrays, at, y), ways, (acting, then), False)
+    d_in = d_arr, jnp.zeros(()), state
+    crossing = cross(motion, (start.arrays, at, y), d_in, (acting, then), False)
     if not motion.remembers:
-        return y, found.state, later
+        return y, crossing.state, later
     taken = then > acting
-    rates = motion.contacts(begun.arrays, at, y).rates
+    rates = motion.contacts(start.arrays, at, y).rates
     y = with_impact_speeds(motion.layout, y, taken, rates)
-    return y, found.state, later
+    return y, crossing.state, later
 
 
-def along(motion: Any, begun: Now, acting: Any, ways: tuple) -> tuple:
+def along(motion: Any, start: Now, acting: Any, d_in: tuple) -> tuple:
     """(state, its derivative) at the end of a part of a motion in which contacts act by these
-    shares. `ways`: derivatives of (arrays, state)."""
-    way, state = ways
-    go = lambda arrays, time, y: gone_on(motion, arrays, acting, time, begun.length, y)
-    state, shift = at_moving_time(motion, begun, acting, (way, jnp.zeros(()), state))
-    end, state = pushed(go, (begun.arrays, begun.time, begun.state), (way, shift, state))
-    return end, at_fixed_time(motion, begun, acting, end, (state, shift))
+    shares. `d_in`: derivatives of (arrays, state)."""
+    d_arr, state = d_in
+    go = lambda arrays, time, y: flow_end(motion, arrays, acting, time, start.length, y)
+    state, shift = at_moving_time(motion, start, acting, (d_arr, jnp.zeros(()), state))
+    end, state = pushed(go, (start.arrays, start.time, start.state), (d_arr, shift, state))
+    return end, at_fixed_time(motion, start, acting, end, (state, shift))
 
 
-def gone_on(motion: Any, arrays: Any, shares: Any, time: Any, length: Any, y: Any) -> Any:
+def flow_end(motion: Any, arrays: Any, shares: Any, time: Any, length: Any, y: Any) -> Any:
     """The state after a time in which contacts act by these shares (None: as their indentations
     have it)."""
     nodes, weights = jnp.asarray(NODES), jnp.asarray(WEIGHTS)

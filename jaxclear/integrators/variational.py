@@ -43,14 +43,19 @@ from jaxclear.ground.tangents import (
     zeros_with,
 )
 from jaxclear.integrators.base import SLIVER
-from jaxclear.integrators.derivative_error import NO_SECOND, PARTED, beside, unknown_way
-from jaxclear.integrators.events import Peaks, nothing_met, peaks
-from jaxclear.integrators.saltation import Now, along, closed, motion_of, moves, passed_within
-from jaxclear.multibody.reach import gaps_passed
+from jaxclear.integrators.derivative_error import (
+    NO_SECOND,
+    PARTED,
+    while_together,
+    without_derivative,
+)
+from jaxclear.integrators.events import Peaks, no_peaks, peaks
+from jaxclear.integrators.saltation import Now, along, closed, cross_within, motion_of, moves
+from jaxclear.multibody.reach import gaps_crossed
 from jaxclear.multibody.state import bristle_places
 
 
-class Beside(NamedTuple):
+class Resolved(NamedTuple):
     """Zeros. Their derivatives are, of the motion beside a run: how far its state is `away` from
     the run's, how far its places have `parted` from these at most [1] of the narrowest gap, and the
     `peaks` of each contact."""
@@ -60,12 +65,12 @@ class Beside(NamedTuple):
     peaks: Peaks
 
 
-def nothing_beside(size: int, contacts: int, damped: bool) -> Beside:
+def not_resolved(size: int, contacts: int, damped: bool) -> Resolved:
     """Where a run begins, of which the state has this size, and some contact is `damped`."""
-    return Beside(jnp.zeros(size), jnp.zeros(()), nothing_met(jnp.zeros(contacts), damped))
+    return Resolved(jnp.zeros(size), jnp.zeros(()), no_peaks(jnp.zeros(contacts), damped))
 
 
-def beside_steps(formulation: CompliantContact, rest: Any, plain: Callable) -> Callable:
+def resolved_steps(formulation: CompliantContact, rest: Any, plain: Callable) -> Callable:
     """A step with the derivative of the motion beside it, as a function of (arrays, clock, state,
     last, met, beside).
 
@@ -84,77 +89,77 @@ def beside_steps(formulation: CompliantContact, rest: Any, plain: Callable) -> C
     def close(arrays, time, length, y):
         return closing.closed(unpacked(arrays, rest), time, y, length)
 
-    def step(arrays, clock, y, last, met, beside):
-        end, *found = plain(arrays, clock, y, last, met)
-        return end, *found, zeros_with(end[0], beside)
+    def step(arrays, clock, y, last, peaks, resolved):
+        end, *rest_of = plain(arrays, clock, y, last, peaks)
+        return end, *rest_of, zeros_with(end[0], resolved)
 
     @jax.custom_jvp
-    def known(*numbers):
+    def rule(*numbers):
         return step(*numbers)
 
     def moving(numbers, tangents):
         arrays, clock, y, *_ = numbers
-        way, clock_way, state, _, met_way, beside = tangents
-        found = step(*numbers)
-        end, now, *_ = found
-        beside, met_way = jax.tree.map(moved, (beside, met_way))
-        longer = moved(clock_way[1]) if moves(clock_way) else None
-        ways = way[0], (clock_way[0], longer), moved(state)
-        begun = y + beside.away
-        own = remember, close if bare(rest).projects else None
-        ended = _parted(motion, own, (arrays[0], clock, begun), ways, met_way, beside)
-        there, gone, higher, beside = ended
+        d_arr, d_clock, state, _, d_peaks, resolved = tangents
+        outputs = step(*numbers)
+        end, now, *_ = outputs
+        resolved, d_peaks = jax.tree.map(moved, (resolved, d_peaks))
+        longer = moved(d_clock[1]) if moves(d_clock) else None
+        d_in = d_arr[0], (d_clock[0], longer), moved(state)
+        start = y + resolved.away
+        corrections = remember, close if bare(rest).projects else None
+        ended = _parted(motion, corrections, (arrays[0], clock, start), d_in, d_peaks, resolved)
+        there, d_end, higher, resolved = ended
         away = there - end
-        share = gaps_passed(unpacked(arrays[0], rest).system, away)
-        beside = beside._replace(away=away, parted=jnp.maximum(beside.parted, share))
-        return found, (gone, jax.tree.map(jnp.zeros_like, now), higher, beside)
+        share = gaps_crossed(unpacked(arrays[0], rest).system, away)
+        resolved = resolved._replace(away=away, parted=jnp.maximum(resolved.parted, share))
+        return outputs, (d_end, jax.tree.map(jnp.zeros_like, now), higher, resolved)
 
-    known.defjvp(moving, symbolic_zeros=True)
-    return known
+    rule.defjvp(moving, symbolic_zeros=True)
+    return rule
 
 
-def so_far(beside: Beside) -> Beside:
+def so_far(resolved: Resolved) -> Resolved:
     """What is known where a saving interval begins."""
-    zeros = lambda beside: jax.tree.map(lambda each: zeros_with(each, each), beside)
+    zeros = lambda resolved: jax.tree.map(lambda each: zeros_with(each, each), resolved)
     same = lambda numbers, tangents: jax.tree.map(moved, tangents[0])
-    return derived(zeros, same)(beside)
+    return derived(zeros, same)(resolved)
 
 
-def trusted_beside(end: Any, met: Any, watch: Any, known: Beside) -> tuple:
+def trust_resolved(end: Any, peaks: Any, watch: Any, resolved: Resolved) -> tuple:
     """All that was found of a run, where the derivative of the motion beside it can be trusted;
     events have none."""
-    end, met = allow_first_derivative(NO_SECOND, beside((end, met), known.parted))
-    return end, met, unknown_way(watch) if watch is not None else None
+    end, peaks = allow_first_derivative(NO_SECOND, while_together((end, peaks), resolved.parted))
+    return end, peaks, without_derivative(watch) if watch is not None else None
 
 
 def _parted(
-    motion: Any, own: tuple, here: tuple, ways: tuple, higher: Any, beside: Beside
+    motion: Any, corrections: tuple, here: tuple, d_in: tuple, higher: Any, resolved: Resolved
 ) -> tuple:
     """(state, its derivative, that of the peaks, what is known) behind a step from
-    `here` (arrays, clock, state); `own`: how its impact speeds are remembered, and its loops closed
-    (None: they are not). Where run and motion have parted nothing goes on."""
-    remember, close = own
-    arrays, (time, whole), y = here
-    way, (time_way, longer), state = ways
+    `here` (arrays, clock, state); `corrections`: how its impact speeds are remembered, and its
+    loops closed (None: they are not). Where run and motion have parted nothing goes on."""
+    remember, close = corrections
+    arrays, (time, total), y = here
+    d_arr, (d_time, longer), state = d_in
     moving = longer is not None
     rates = lambda at, y: motion.rates(arrays, closed(motion.contacts(arrays, at, y)), at, y)
     if moving:
-        state = state - moved(time_way) * rates(time, y)
-    aware = lambda y, contacts: remember(arrays, y, contacts, whole)
-    together = beside.parted <= PARTED
-    known = together, y, (beside.peaks, higher)
-    part = followed(motion, aware, (arrays, time, whole), (way, state), known)
-    y, state, (highest, higher) = part.y, part.way, part.peaks
+        state = state - moved(d_time) * rates(time, y)
+    aware = lambda y, contacts: remember(arrays, y, contacts, total)
+    together = resolved.parted <= PARTED
+    request = together, y, (resolved.peaks, higher)
+    part = followed(motion, aware, (arrays, time, total), (d_arr, state), request)
+    y, state, (highest, higher) = part.y, part.d_state, part.peaks
     if close is not None:
-        at = time + whole
+        at = time + total
         still = SymbolicZero.from_primal_value(at)
-        y, state = pushed(close, (arrays, at, whole, y), (way, still, still, state))
+        y, state = pushed(close, (arrays, at, total, y), (d_arr, still, still, state))
     if moving:
-        state = state + (moved(time_way) + longer) * rates(time + whole, y)
-    ended = part.done >= whole * (1 - SLIVER)
-    parted = jnp.where(ended, beside.parted, jnp.inf)
-    beside = Beside(beside.away, parted, highest)
-    return y, state, higher, beside
+        state = state + (moved(d_time) + longer) * rates(time + total, y)
+    ended = part.done >= total * (1 - SLIVER)
+    parted = jnp.where(ended, resolved.parted, jnp.inf)
+    resolved = Resolved(resolved.away, parted, highest)
+    return y, state, higher, resolved
 
 
 # A part in contact goes no further than by this angle of the contact's vibration [rad], and in it
@@ -176,139 +181,139 @@ AT_TOUCH = 1e-3
 
 class Part(NamedTuple):
     """Where a motion is: what is `done` of the time [s] in so many `turns`, the state, its
-    derivative (`way`), (the peaks, their derivatives), and how long the next part may be [s] so
-    that the contacts that are `due` touch or part at its end. nan is done where parts are too long
-    for a contact."""
+    derivative (`d_state`), (the peaks, their derivatives), and how long the next part may be [s] so
+    that the contacts that are `event` touch or part at its end. nan is done where parts are too
+    long for a contact."""
 
     done: Scalar
     turns: Any
     y: Any
-    way: Any
+    d_state: Any
     peaks: tuple[Peaks, Peaks]
     limit: Scalar
-    due: Any
+    event: Any
 
 
-class _Gone(NamedTuple):
+class _Substep(NamedTuple):
     """A part gone through: where it began, its contacts that acted, the state at its end and its
     derivative, the contacts there."""
 
-    begun: Now
+    start: Now
     acting: Any
     end: Any
-    way: Any
+    d_state: Any
     contacts: ContactMotion
 
 
-def followed(motion: Any, remember: Callable, clock: tuple, ways: tuple, known: tuple) -> Part:
-    """A motion over a time, where it is `wanted`. `remember(state, contacts)`: the state as it
-    knows its impact speeds. `clock`: (arrays, start [s], length [s]), `ways`: the derivatives of
-    the arrays and of the state, at times that do not move; `known`: (wanted, the state, (the peaks,
-    their derivatives))."""
-    (_, _, whole), (way, state), (wanted, y, highest) = clock, ways, known
+def followed(motion: Any, remember: Callable, clock: tuple, d_in: tuple, request: tuple) -> Part:
+    """A motion over a time, where it is `needed`. `remember(state, contacts)`: the state as it
+    knows its impact speeds. `clock`: (arrays, start [s], length [s]), `d_in`: the derivatives of
+    the arrays and of the state, at times that do not move; `request`: (wanted, the state, (the
+    peaks, their derivatives))."""
+    (_, _, total), (d_arr, state), (needed, y, highest) = clock, d_in, request
     nothing = jnp.zeros(())
     first = Part(
         done=nothing,
         turns=jnp.zeros((), int),
         y=y,
-        way=state,
+        d_state=state,
         peaks=highest,
         limit=jnp.asarray(jnp.inf),
-        due=jnp.zeros_like(highest[0].depths),
+        event=jnp.zeros_like(highest[0].depths),
     )
-    most = jnp.where(wanted, MOST_TURNS, 0)
+    most = jnp.where(needed, MOST_TURNS, 0)
 
-    def left(part):
-        return (part.done < whole * (1 - SLIVER)) & (part.turns < most)
+    def unfinished(part):
+        return (part.done < total * (1 - SLIVER)) & (part.turns < most)
 
     return jax.lax.while_loop(
-        left, lambda part: _further(motion, remember, clock, way, part), first
+        unfinished, lambda part: _further(motion, remember, clock, d_arr, part), first
     )
 
 
-def _further(motion: Any, remember: Callable, clock: tuple, way: Any, part: Part) -> Part:
+def _further(motion: Any, remember: Callable, clock: tuple, d_arr: Any, part: Part) -> Part:
     """A part further, or how long it may be."""
-    arrays, start, whole = clock
+    arrays, start, total = clock
     time = start + part.done
     contacts = motion.contacts(arrays, time, part.y)
     y, acting = remember(part.y, contacts), closed(contacts)
-    left = whole - part.done
-    begun = Now(arrays, time, y, left, contacts)
-    resolved, lost = _resolved(motion, begun, acting, (whole, left))
-    resolved = jnp.where(jnp.any(acting > 0), resolved, left)
-    length = jnp.minimum(jnp.minimum(resolved, part.limit), left)
-    gone = _through(motion, begun._replace(length=length), acting, (way, part.way))
-    landing = jnp.any(part.due > 0)
-    after, crossed, share = gone.contacts, *_crossed(gone)
-    hit = landing & ((part.due > 0) | (closed(after) != acting))
+    remaining = total - part.done
+    at_start = Now(arrays, time, y, remaining, contacts)
+    resolved, unresolved = _resolved(motion, at_start, acting, (total, remaining))
+    resolved = jnp.where(jnp.any(acting > 0), resolved, remaining)
+    length = jnp.minimum(jnp.minimum(resolved, part.limit), remaining)
+    trial = _through(motion, at_start._replace(length=length), acting, (d_arr, part.d_state))
+    landing = jnp.any(part.event > 0)
+    after, crossed, share = trial.contacts, *_crossed(trial)
+    hit = landing & ((part.event > 0) | (closed(after) != acting))
     late = jnp.where(hit, -safe_divide(after.depths, after.rates), -jnp.inf)
     late = jnp.where(landing, jnp.max(late), (share - 1) * length)
-    there = jnp.where(landing, abs(late) <= AT_TOUCH * whole, ~jnp.any(crossed))
-    fine = _at_end(motion, gone, whole, way, (hit, part))
-    fine = fine._replace(done=jnp.where(length < left, part.done + length, whole) + fine.done)
+    there = jnp.where(landing, abs(late) <= AT_TOUCH * total, ~jnp.any(crossed))
+    fine = _at_end(motion, trial, total, d_arr, (hit, part))
+    fine = fine._replace(done=jnp.where(length < remaining, part.done + length, total) + fine.done)
     # What would pass the end after all touches no more.
-    again = (late + length < left) & (length > 0)
-    due = jnp.where(landing, part.due, jnp.where(crossed, 1.0, 0.0))
+    again = (late + length < remaining) & (length > 0)
+    event = jnp.where(landing, part.event, jnp.where(crossed, 1.0, 0.0))
     short = part._replace(
-        limit=jnp.where(again, late + length, jnp.inf), due=jnp.where(again, due, 0.0)
+        limit=jnp.where(again, late + length, jnp.inf), event=jnp.where(again, event, 0.0)
     )
-    found = jax.tree.map(lambda a, b: jnp.where(there, a, b), fine, short)
-    done = jnp.where(lost, jnp.nan, found.done)
-    return found._replace(done=done, turns=part.turns + 1)
+    next_part = jax.tree.map(lambda a, b: jnp.where(there, a, b), fine, short)
+    done = jnp.where(unresolved, jnp.nan, next_part.done)
+    return next_part._replace(done=done, turns=part.turns + 1)
 
 
-def _through(motion: Any, begun: Now, acting: Any, ways: tuple) -> _Gone:
+def _through(motion: Any, start: Now, acting: Any, d_in: tuple) -> _Substep:
     """A part in which the contacts act that did at its start."""
-    end, state = along(motion, begun, acting, ways)
-    contacts = motion.contacts(begun.arrays, begun.time + begun.length, end)
-    return _Gone(begun, acting, end, state, contacts)
+    end, state = along(motion, start, acting, d_in)
+    contacts = motion.contacts(start.arrays, start.time + start.length, end)
+    return _Substep(start, acting, end, state, contacts)
 
 
-def _crossed(gone: _Gone) -> tuple[Any, Any]:
+def _crossed(sub: _Substep) -> tuple[Any, Any]:
     """Which contacts touch or part within a part, and at which share of it the first does."""
-    begun, after, length = gone.begun, gone.contacts, gone.begun.length
-    outwards = jnp.where(gone.acting > 0, -1.0, 1.0)
-    depths = begun.contacts.depths, after.depths
-    path: tuple = *depths, length * begun.contacts.rates, length * after.rates
+    start, after, length = sub.start, sub.contacts, sub.start.length
+    outwards = jnp.where(sub.acting > 0, -1.0, 1.0)
+    depths = start.contacts.depths, after.depths
+    path: tuple = *depths, length * start.contacts.rates, length * after.rates
     path = (*(outwards * each for each in path),)
     top = summit(path)
     highest = cubic(path, top)[0]
     last = jnp.where(highest > path[1], top, 1.0)
     highest = jnp.maximum(highest, path[1])
-    crossed = (highest > 0) | ((highest >= 0) & (gone.acting <= 0))
+    crossed = (highest > 0) | ((highest >= 0) & (sub.acting <= 0))
     shares = passage(path, 0.0, last, jnp.any(crossed))
     share = jnp.min(jnp.where(crossed, shares, 1.0))
     return crossed & (shares <= share), share
 
 
-def _at_end(motion: Any, gone: _Gone, whole: Any, way: Any, known: tuple) -> Part:
+def _at_end(motion: Any, sub: _Substep, total: Any, d_arr: Any, state_of: tuple) -> Part:
     """Behind the end of a part, at which contacts are `hit`; `done` is by how much later [s]."""
-    (begun, acting, end, state, after), (hit, part) = gone, known
-    later = begun.time + begun.length
-    ends, motions = ((begun.time, begun.state), (later, end)), (begun.contacts, after)
+    (start, acting, end, state, after), (hit, part) = sub, state_of
+    later = start.time + start.length
+    ends, motions = ((start.time, start.state), (later, end)), (start.contacts, after)
     higher = lambda arrays, *now: peaks(motion, arrays, now[:2], motions, now[2])
-    ways = way, (jnp.zeros(()), part.way), (jnp.zeros(()), state), part.peaks[1]
-    highest = pushed(higher, (begun.arrays, *ends, part.peaks[0]), ways)
+    d_in = d_arr, (jnp.zeros(()), part.d_state), (jnp.zeros(()), state), part.peaks[1]
+    highest = pushed(higher, (start.arrays, *ends, part.peaks[0]), d_in)
 
-    def behind(known):
-        state, y, _ = known
-        at = begun._replace(length=whole)
-        y, state, late = passed_within(motion, at, (way, state), later, y, (acting, hit))
+    def behind(values):
+        state, y, _ = values
+        at = start._replace(length=total)
+        y, state, late = cross_within(motion, at, (d_arr, state), later, y, (acting, hit))
         return state, y, late
 
-    known = state, end, jnp.zeros(())
-    state, y, late = apply_if(jnp.any(hit), behind, known)
+    state_of = state, end, jnp.zeros(())
+    state, y, late = apply_if(jnp.any(hit), behind, state_of)
     ahead = jnp.asarray(jnp.inf), jnp.zeros_like(acting)
     return Part(late, part.turns, y, state, highest, *ahead)
 
 
-def _resolved(motion: Any, begun: Now, acting: Any, clock: tuple) -> tuple[Any, Any]:
+def _resolved(motion: Any, start: Now, acting: Any, clock: tuple) -> tuple[Any, Any]:
     """How long a part may be [s], and whether its contacts cannot be followed; `clock`: the whole
     time, and what is left of it [s]. Contacts are looked at where it begins; those that have closed
     just now also where the time would end without them."""
-    arrays, time, y, _, (depths, rates) = begun
-    whole, left = clock
-    apart = jnp.zeros_like(acting)
+    arrays, time, y, _, (depths, rates) = start
+    total, remaining = clock
+    zeros = jnp.zeros_like(acting)
     n, m = motion.layout.coordinates, motion.layout.memory_start
     entries = np.arange(motion.layout.size)
     places, moves = entries < n, (entries >= n) & (entries < m)
@@ -317,30 +322,30 @@ def _resolved(motion: Any, begun: Now, acting: Any, clock: tuple) -> tuple[Any, 
     def look(carry):
         i, (time, y), fastest = carry
         acting = closed(motion.contacts(arrays, time, y))
-        pushes = jax.jvp(lambda own: motion.rates(arrays, own, time, y), (apart,), (acting,))[1]
-        along = lambda way: jax.jvp(lambda y: motion.rates(arrays, acting, time, y), (y,), (way,))
+        pushes = jax.jvp(lambda on: motion.rates(arrays, on, time, y), (zeros,), (acting,))[1]
+        along = lambda d: jax.jvp(lambda y: motion.rates(arrays, acting, time, y), (y,), (d,))
         resisted = along(jnp.where(moves, pushes, 0.0))[1]
         returned = along(jnp.where(places, resisted, 0.0))[1]
-        size = lambda way, own=moves: safe_sqrt(jnp.sum(jnp.where(own, way * way, 0.0)))
+        size = lambda d, on=moves: safe_sqrt(jnp.sum(jnp.where(on, d * d, 0.0)))
         damped = safe_divide(size(resisted), size(pushes))
         vibrating = safe_sqrt(safe_divide(size(returned), size(pushes)))
         if bristles.any():
             settling = along(jnp.where(bristles, y, 0.0))[1]
             settling = safe_divide(size(settling, bristles), size(y, bristles))
             damped = jnp.maximum(damped, settling)
-        wanted = jnp.maximum(vibrating / ANGLE, damped / BRAKED)
-        pace = jnp.stack([wanted, jnp.maximum(vibrating, 0.5 * damped)])
-        ahead = y + left * motion.rates(arrays, apart, time, y)
-        return i + 1, (time + left, ahead), jnp.maximum(fastest, pace)
+        cuts = jnp.maximum(vibrating / ANGLE, damped / BRAKED)
+        pace = jnp.stack([cuts, jnp.maximum(vibrating, 0.5 * damped)])
+        ahead = y + remaining * motion.rates(arrays, zeros, time, y)
+        return i + 1, (time + remaining, ahead), jnp.maximum(fastest, pace)
 
     deepens = (acting > 0) & (rates > 0)
-    new = jnp.any(deepens & (depths < left * EARLY * rates))
+    new = jnp.any(deepens & (depths < remaining * EARLY * rates))
     looks = jnp.where(jnp.any(acting > 0), jnp.where(new, 2, 1), 0)
     first = jnp.zeros((), int), (time, y), jnp.zeros(2)
     fastest = jax.lax.while_loop(lambda carry: carry[0] < looks, look, first)[2]
-    longest = 1 / jnp.maximum(fastest[0], EARLY / whole)
+    longest = 1 / jnp.maximum(fastest[0], EARLY / total)
     share = jnp.where(deepens, 1.0, PARTING)
-    ways = jnp.where(acting > 0, safe_divide(share * depths, abs(rates)), jnp.inf)
-    length = jnp.clip(jnp.min(ways), EARLY * longest, longest)
-    shortest = whole / MOST_PARTS
+    lengths = jnp.where(acting > 0, safe_divide(share * depths, abs(rates)), jnp.inf)
+    length = jnp.clip(jnp.min(lengths), EARLY * longest, longest)
+    shortest = total / MOST_PARTS
     return jnp.maximum(length, shortest), shortest * fastest[1] > WIDEST

@@ -16,7 +16,7 @@ from jaxclear.ground.quantity import is_traced
 from jaxclear.ground.table import as_table
 from jaxclear.ground.wording import listed
 from jaxclear.multibody import assembly_modes, start_check
-from jaxclear.multibody.assembly import FirstFound, first_found
+from jaxclear.multibody.assembly import FirstFound, first_search
 from jaxclear.multibody.assembly_modes import Mode
 from jaxclear.multibody.given import at_start
 from jaxclear.multibody.mechanism import Mechanism, rebuilt
@@ -61,8 +61,8 @@ class Assemblies(AbstractShown):
             branch.name for branch in self.mechanism.topology.branches if branch.coordinate_count
         ]
         each = itertools.chain(*(coordinate_units(self.mechanism, name) for name in joints))
-        own = {"distance": "rad, arms", "smallest singular value": "1"}
-        return own | dict(zip(self.names, each, strict=True))
+        part = {"distance": "rad, arms", "smallest singular value": "1"}
+        return part | dict(zip(self.names, each, strict=True))
 
     def guess(self, index: int) -> dict[str, tuple[float, ...]]:
         """What to give as `Mechanism(guess=)` for a mode: all coordinates of the tree that `start`
@@ -87,13 +87,13 @@ class Assemblies(AbstractShown):
 
     def _shown(self):
         many = f"{len(self)} way{'s' * (len(self) != 1)} to assemble"
-        said = f"{many}, found by {self.samples} searches; there may be more."
+        text = f"{many}, found by {self.samples} searches; there may be more."
         if not len(self):
-            return said
+            return text
         if self.mechanism.guess:
             guessed = listed(self.mechanism.guess)
-            said += f" Distance from the guess of {guessed} in radians and longest arms."
-        return said, self.table()
+            text += f" Distance from the guess of {guessed} in radians and longest arms."
+        return text, self.table()
 
 
 @answering
@@ -128,7 +128,7 @@ def assemblies(
             "assemblies are listed of a mechanism with numbers; some are traced (by jax.jit, vmap "
             "or grad)."
         )
-    first = first_found(mechanism, concentric)
+    first = first_search(mechanism, concentric)
     modes = _modes(mechanism, first, samples)
     if not modes and first.is_doubted:
         modes = first.without_redundancy().modes(samples)
@@ -150,11 +150,11 @@ def as_guess(mechanism: Mechanism, coordinates: Any) -> dict[str, tuple[float, .
     """All coordinates of the tree that `start` does not give, by joint or floating body."""
     out, parts = {}, (mechanism.bodies, mechanism.connections)
     for branch in mechanism.topology.branches:
-        own = tuple(map(float, coordinates[branch.coordinates]))
-        if own and branch.name not in mechanism.start:
+        part = tuple(map(float, coordinates[branch.coordinates]))
+        if part and branch.name not in mechanism.start:
             still = (0.0,) * branch.speed_count
-            own = at_start(branch, joint_of(branch, *parts), own, still)[0]
-            out[branch.name] = tuple(map(float, own))
+            part = at_start(branch, joint_of(branch, *parts), part, still)[0]
+            out[branch.name] = tuple(map(float, part))
     return out
 
 
@@ -164,24 +164,24 @@ def _modes(mechanism: Mechanism, first: FirstFound, samples: int) -> list[Mode]:
     to the other the nearer is listed."""
     if first.sought is None or not assembly_modes.leaves_free(first.start):
         return first.modes(samples)
-    given = mechanism.given
+    values = mechanism.given
     homes = as_guess(mechanism, _homes(mechanism))
-    guessed = {n: x for n, x in given["guess"].items() if n in homes}
-    whole = rebuilt(mechanism, guess=homes | guessed)
-    at_homes = first_found(whole, first.concentric)
-    found = at_homes.modes(samples)
-    if given["guess"]:
-        on = [(assembly_modes.at(mode.start.coordinates), mode.found) for mode in found]
-        found = assembly_modes.modes(first.tree, first.search, on)
-    kept: list[Mode] = []
-    for mode in found:
-        for i, known in enumerate(kept):
-            if _leads_to(mechanism, at_homes, known, mode):
-                kept[i] = known._replace(found=known.found + mode.found)
+    guessed = {n: x for n, x in values["guess"].items() if n in homes}
+    total = rebuilt(mechanism, guess=homes | guessed)
+    at_homes = first_search(total, first.concentric)
+    result = at_homes.modes(samples)
+    if values["guess"]:
+        on = [(assembly_modes.at(mode.start.coordinates), mode.found) for mode in result]
+        result = assembly_modes.modes(first.tree, first.search, on)
+    saved: list[Mode] = []
+    for mode in result:
+        for i, present in enumerate(saved):
+            if _leads_to(mechanism, at_homes, present, mode):
+                saved[i] = present._replace(found=present.found + mode.found)
                 break
         else:
-            kept.append(mode)
-    return kept
+            saved.append(mode)
+    return saved
 
 
 def _homes(mechanism: Mechanism) -> np.ndarray:
@@ -196,6 +196,6 @@ def _leads_to(mechanism: Mechanism, at_homes: FirstFound, one: Mode, other: Mode
     there = as_guess(mechanism, other.start.coordinates)
     guess = {name: tuple(jnp.asarray(x) for x in there[name]) for name in at_homes.mechanism.guess}
     start, sound = at_homes.search(begin, guess)
-    places = [np.asarray(found.coordinates) for found in (start, other.start)]
-    apart = np.max(np.abs(at_homes.tree.apart(*places)), initial=0.0)
-    return bool(sound) and apart <= assembly_modes.SAME
+    places = [np.asarray(result.coordinates) for result in (start, other.start)]
+    gap = np.max(np.abs(at_homes.tree.apart(*places)), initial=0.0)
+    return bool(sound) and gap <= assembly_modes.SAME

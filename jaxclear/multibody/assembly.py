@@ -34,16 +34,15 @@ from jaxclear.multibody.mechanism import Mechanism, loosened, ungiven, with_redu
 from jaxclear.multibody.motors_at_start import turned
 from jaxclear.multibody.newton import Near, closed, least, nearer
 from jaxclear.multibody.start_equations import (
-    GIVEN,
     JOURNAL,
     LOOP,
+    START,
     Ask,
     Start,
-    alike,
     ask,
+    blocks_at,
     guess,
     guess_blocks,
-    held_blocks,
     is_solved,
     jacobians,
     leaves_free,
@@ -51,6 +50,7 @@ from jaxclear.multibody.start_equations import (
     outside_tree,
     place_at,
     position_blocks,
+    scaled,
     speed_blocks,
     stacked,
 )
@@ -80,30 +80,30 @@ def assemble_arrays(
     """The consistent start nearest to what is guessed, in the mode to which a search from `rough`
     coordinates and speeds leads, by default the mechanism's guess; of surfaces `worn` so deep [m],
     beams `straight` as far as can be; pure, so it maps and differentiates."""
-    asked = ask(mechanism, concentric, worn)._replace(straight=straight)
-    given = guess(mechanism, asked.system) if rough is None else rough
-    return _solved(asked, *given, time, rough is None, in_one)
+    problem = ask(mechanism, concentric, worn)._replace(straight=straight)
+    values = guess(mechanism, problem.system) if rough is None else rough
+    return _solved(problem, *values, time, rough is None, in_one)
 
 
-def _towards_guess(asked: Ask, q: Array, time: Any) -> Array:
+def _towards_guess(problem: Ask, q: Array, time: Any) -> Array:
     """Rough coordinates led to what is told of other joints than those of the tree, so
     that the search for closed loops begins where it was told: loops and guesses share what
     contradicts."""
-    if is_solved(asked.mechanism, asked.concentric) or not outside_tree(asked.mechanism):
+    if is_solved(problem.mechanism, problem.concentric) or not outside_tree(problem.mechanism):
         return q
 
     def approach(q, _):
-        place = place_at(asked, q, time)
-        blocks = held_blocks(asked, place)
-        held = [block for block in blocks if block.kind == GIVEN]
-        rest = [block for block in blocks if block.kind != GIVEN]
-        return nearer(asked, q, held, Near(rest + guess_blocks(asked, place), 1.0)), None
+        place = place_at(problem, q, time)
+        blocks = blocks_at(problem, place)
+        fixed = [block for block in blocks if block.kind == START]
+        rest = [block for block in blocks if block.kind != START]
+        return nearer(problem, q, fixed, Near(rest + guess_blocks(problem, place), 1.0)), None
 
     return jax.lax.scan(approach, q, length=ITERATIONS)[0]
 
 
 def _solved(
-    asked: Ask,
+    problem: Ask,
     q: Array,
     v: Array,
     time: Any,
@@ -112,48 +112,48 @@ def _solved(
 ) -> Start:
     """The consistent start to which a search leads from rough coordinates and speeds, `led` to what
     is told of other joints first; `call`: how the search is called, and what tells of the start."""
-    mechanism = asked.mechanism
-    start_check.check_flat_bodies(mechanism, asked.system, motions_at(asked, q, v, time)[2])
-    if is_solved(mechanism, asked.concentric):
-        return _started(asked, q, v, time)
+    mechanism = problem.mechanism
+    start_check.check_flat_bodies(mechanism, problem.system, motions_at(problem, q, v, time)[2])
+    if is_solved(mechanism, problem.concentric):
+        return _started(problem, q, v, time)
 
     def search():
-        begun = _towards_guess(asked, q, time) if led else q
-        return _searched(asked, begun, v, time)
+        start = _towards_guess(problem, q, time) if led else q
+        return _searched(problem, start, v, time)
 
     # In a batch more may move the one than the other.
     there, moving = call(search)
-    return call(lambda: _started(asked, there, moving, time))
+    return call(lambda: _started(problem, there, moving, time))
 
 
-def _searched(asked: Ask, q: Array, v: Array, time: Any) -> tuple[Array, Array]:
+def _searched(problem: Ask, q: Array, v: Array, time: Any) -> tuple[Array, Array]:
     """Coordinates and speeds of the consistent start to which a search leads from rough ones."""
-    mechanism = asked.mechanism
+    mechanism = problem.mechanism
 
     def improve(q, weight):
-        place = place_at(asked, q, time)
-        held = held_blocks(asked, place)
-        if not mechanism.guess or not leaves_free(asked, held):
-            return nearer(asked, q, held), None
-        return nearer(asked, q, held, Near(guess_blocks(asked, place), weight)), None
+        place = place_at(problem, q, time)
+        fixed = blocks_at(problem, place)
+        if not mechanism.guess or not leaves_free(problem, fixed):
+            return nearer(problem, q, fixed), None
+        return nearer(problem, q, fixed, Near(guess_blocks(problem, place), weight)), None
 
-    if asked.system.topology.searched:
+    if problem.system.topology.searched:
         # Far from closed, redundant rows contradict each other, and others may lead astray.
-        q = closest(asked, q, time)
+        q = closest(problem, q, time)
     # At last loops alone: what is not the least yet leaves them open by its square.
     weights = jnp.where(jnp.arange(ITERATIONS) < ITERATIONS - CLOSING, 1.0, 0.0)
     q, _ = jax.lax.scan(improve, q, weights)
     # The second time for rounding only: rates are linear in the speeds.
     for _ in range(2):
-        v = v - least(asked, speed_blocks(asked, q, v, time)).change
-    return turned(mechanism, asked.system, q, v, time)
+        v = v - least(problem, speed_blocks(problem, q, v, time)).change
+    return turned(mechanism, problem.system, q, v, time)
 
 
-def closest(asked: Ask, q: Array, time: Any) -> Array:
+def closest(problem: Ask, q: Array, time: Any) -> Array:
     """Coordinates that miss closed loops, and what is given, by least: also where no coordinates
     close the loops, or where some of their rows are redundant."""
 
-    return closed(asked, q, time, SETTLING, (LOOP, GIVEN), damped=True)
+    return closed(problem, q, time, SETTLING, (LOOP, START), damped=True)
 
 
 def carried_on(mechanism: Mechanism, coordinates: Array, speeds: Array, time: Any) -> Start:
@@ -162,55 +162,55 @@ def carried_on(mechanism: Mechanism, coordinates: Array, speeds: Array, time: An
     that is given for a start is held; pure.
     """
     bare = ungiven(mechanism)
-    asked = ask(bare, False)
-    found = assemble_arrays(bare, False, time, (coordinates, speeds), straight=False)
-    left = stacked(asked, position_blocks(asked, coordinates, time))[1]
-    kept = jnp.max(jnp.abs(left), initial=0.0) <= start_check.HELD * asked.arm
+    problem = ask(bare, False)
+    result = assemble_arrays(bare, False, time, (coordinates, speeds), straight=False)
+    rest = stacked(problem, position_blocks(problem, coordinates, time))[1]
+    is_saved = jnp.max(jnp.abs(rest), initial=0.0) <= start_check.HELD * problem.arm
     q, v = (
-        jnp.where(kept, own, nearest)
-        for own, nearest in ((coordinates, found.coordinates), (speeds, found.speeds))
+        jnp.where(is_saved, part, nearest)
+        for part, nearest in ((coordinates, result.coordinates), (speeds, result.speeds))
     )
-    return found._replace(coordinates=q, speeds=v, depths={})
+    return result._replace(coordinates=q, speeds=v, depths={})
 
 
-def _started(asked: Ask, q: Array, v: Array, time: Any) -> Start:
+def _started(problem: Ask, q: Array, v: Array, time: Any) -> Start:
     """The start with all by which it is judged."""
-    solved, place = is_solved(asked.mechanism, asked.concentric), place_at(asked, q, time)
-    positions, speeds = held_blocks(asked, place), speed_blocks(asked, q, v, time)
+    solved, place = is_solved(problem.mechanism, problem.concentric), place_at(problem, q, time)
+    positions, speeds = blocks_at(problem, place), speed_blocks(problem, q, v, time)
     # How far coordinates of the tree are from a guess is read off them.
-    carried = {branch.name for branch in asked.system.topology.branches}
+    carried = {branch.name for branch in problem.system.topology.branches}
     closures = [block for block in positions if block.kind in (LOOP, JOURNAL)]
     return Start(
         q,
         v,
         {b.name: jnp.concatenate([b.left, b.fixed]) for b in closures},
-        dict(zip([b.name for b in closures], jacobians(asked, closures), strict=True)),
+        dict(zip([b.name for b in closures], jacobians(problem, closures), strict=True)),
         {b.name: b.left for b in speeds if b.kind == LOOP},
-        {b.name: b.left / b.measure for b in positions if b.kind == GIVEN},
-        {b.name: b.left / b.measure for b in speeds if b.kind == GIVEN},
-        _depths(asked, q, v, time),
-        {b.name: b.left / b.measure for b in guess_blocks(asked, place) if b.name not in carried},
-        alike(asked, [] if solved else positions)[0],
+        {b.name: b.left / b.measure for b in positions if b.kind == START},
+        {b.name: b.left / b.measure for b in speeds if b.kind == START},
+        _depths(problem, q, v, time),
+        {b.name: b.left / b.measure for b in guess_blocks(problem, place) if b.name not in carried},
+        scaled(problem, [] if solved else positions)[0],
     )
 
 
-def _depths(asked: Ask, q: Array, v: Array, time: Any) -> dict[str, Array]:
+def _depths(problem: Ask, q: Array, v: Array, time: Any) -> dict[str, Array]:
     """Overlap [m] of each clearance joint, and the one allowed; none where journals are concentric
     by construction."""
-    if asked.concentric and not asked.mechanism.start:
+    if problem.concentric and not problem.mechanism.start:
         return {}
-    motions = motions_at(asked, q, v, time)[2]
-    worn = readings(asked.system, asked.worn)
+    motions = motions_at(problem, q, v, time)[2]
+    worn = readings(problem.system, problem.worn)
 
     def one(joint, pose, radii, worn):
         depths = contact_point.depths(joint, pose, worn)
         return jnp.stack([jnp.max(sp.stack(depths)), DEEPEST * jnp.min(sp.stack(radii))])
 
-    bearings = asked.system.bearings
-    relative = relative_motions(asked.system, motions)
+    bearings = problem.system.bearings
+    relative = relative_motions(problem.system, motions)
     calls = [
-        (own.joint, seen.pose, own.radii, worn.get(name, {}))
-        for (name, own), seen in zip(bearings.items(), relative, strict=True)
+        (bearing.joint, view.pose, bearing.radii, worn.get(name, {}))
+        for (name, bearing), view in zip(bearings.items(), relative, strict=True)
     ]
     return dict(zip(bearings, map_many(one, calls), strict=True))
 
@@ -224,9 +224,9 @@ def is_sound(mechanism: Mechanism, start: Start) -> Bool[Array, ""]:
 @compiled_quickly
 def _closest(mechanism: Mechanism, time: Any) -> Start:
     """The search for coordinates that miss closed loops by least."""
-    asked = ask(mechanism, False)
+    problem = ask(mechanism, False)
     q, v = guess(mechanism)
-    return compiled_sooner(lambda: _started(asked, closest(asked, q, time), v, time))
+    return compiled_sooner(lambda: _started(problem, closest(problem, q, time), v, time))
 
 
 class Judged(NamedTuple):
@@ -243,15 +243,15 @@ def _judged(
     mechanism: Mechanism, concentric: bool, worn: dict | None, begin: Beginning | None = None
 ) -> Judged:
     """The search for a start that closes all loops."""
-    asked = ask(mechanism, concentric, worn)
-    seed, v = guess(mechanism, asked.system)
+    problem = ask(mechanism, concentric, worn)
+    seed, v = guess(mechanism, problem.system)
     if begin is None:
-        q = _towards_guess(asked, seed, 0.0)
+        q = _towards_guess(problem, seed, 0.0)
     else:
         q = jnp.where(begin.own, begin.coordinates, seed)
-        q = jnp.where(begin.led, _towards_guess(asked, q, 0.0), q)
-    start = _solved(asked, q, v, 0.0)
-    return Judged(start, is_sound(mechanism, start), seed, asked.arm)
+        q = jnp.where(begin.led, _towards_guess(problem, q, 0.0), q)
+    start = _solved(problem, q, v, 0.0)
+    return Judged(start, is_sound(mechanism, start), seed, problem.arm)
 
 
 @compiled_quickly
@@ -303,8 +303,8 @@ class FirstFound(NamedTuple):
     def is_doubted(self) -> bool:
         """Whether redundant rows were told at a place where loops are open: what is nearest to
         closing a loop lies stretched in one line, where rows depend that elsewhere do not."""
-        known = self.mechanism.topology.depend and not self.sound
-        return bool(known and start_check.open_by(self.start) > 0)
+        values = self.mechanism.topology.depend and not self.sound
+        return bool(values and start_check.open_by(self.start) > 0)
 
     def without_redundancy(self) -> "FirstFound":
         """The same with all rows."""
@@ -327,36 +327,36 @@ class FirstFound(NamedTuple):
         mechanism = self.sought
         if guess is not None:
             mechanism = eqx.tree_at(lambda m: m.guess, mechanism, guess)
-        found = _judged(mechanism, self.concentric, self.worn, begin)
-        if not found.sound:
+        result = _judged(mechanism, self.concentric, self.worn, begin)
+        if not result.sound:
             # Begun far away it may be on the way still.
-            on = assembly_modes.at(found.start.coordinates)
-            found = _judged(mechanism, self.concentric, self.worn, on)
-        return found.start, found.sound
+            on = assembly_modes.at(result.start.coordinates)
+            result = _judged(mechanism, self.concentric, self.worn, on)
+        return result.start, result.sound
 
     def modes(self, count: int) -> list[Mode]:
         """The modes to which this search and so many others lead."""
-        own = [(at_guess(self.mechanism), 1)]
+        part = [(at_guess(self.mechanism), 1)]
         if self.sought is None:
-            return assembly_modes.modes(self.tree, lambda _: (self.start, self.sound), own)
+            return assembly_modes.modes(self.tree, lambda _: (self.start, self.sound), part)
         others = assembly_modes.beginnings(self.mechanism, self.tree, count - 1)
-        found = [*own, *((begin, 1) for begin in others)]
-        search = lambda begin: self[1:3] if begin is own[0][0] else self.search(begin)
-        return assembly_modes.modes(self.tree, search, found)
+        out = [*part, *((begin, 1) for begin in others)]
+        search = lambda begin: self[1:3] if begin is part[0][0] else self.search(begin)
+        return assembly_modes.modes(self.tree, search, out)
 
 
-def first_found(mechanism: Mechanism, concentric: bool, worn: dict | None = None) -> FirstFound:
+def first_search(mechanism: Mechanism, concentric: bool, worn: dict | None = None) -> FirstFound:
     """Where the search for a start leads from what is guessed of a mechanism with numbers."""
     bare = with_redundancy(mechanism, None)
     begin = at_guess(mechanism)
     first = _judged(bare, concentric, worn, begin)
     tree = assembly_modes.Coordinates(bare, first.seed, first.arm)
     judged = lambda m: _judged(m, concentric, worn, begin)[:2]
-    known, start, sound = _known(bare, first.start, first.sound, 0.0, judged)
+    values, start, sound = _with_redundancy(bare, first.start, first.sound, 0.0, judged)
     # Redundant rows that motion never changes say nothing new.
-    searched = known if known.topology.searched else bare
+    searched = values if values.topology.searched else bare
     sought = None if is_solved(bare, concentric) else searched
-    return FirstFound(known, start, sound, tree, sought, concentric, worn)
+    return FirstFound(values, start, sound, tree, sought, concentric, worn)
 
 
 class Nearest(NamedTuple):
@@ -377,20 +377,20 @@ def nearest(mechanism: Mechanism, concentric: bool = True, worn: dict | None = N
     near. What is being traced is taken as it comes."""
     if is_traced((mechanism, worn)) or is_tracing():
         return Nearest(mechanism, *_judged(mechanism, concentric, worn)[:2])
-    first = first_found(mechanism, concentric, worn)
-    found = [] if first.is_taken else first.modes(assembly_modes.SEARCHES)
-    start, sound = (found[0].start, True) if found else (first.start, first.sound)
-    if not found and first.is_doubted:
+    first = first_search(mechanism, concentric, worn)
+    result = [] if first.is_taken else first.modes(assembly_modes.SEARCHES)
+    start, sound = (result[0].start, True) if result else (first.start, first.sound)
+    if not result and first.is_doubted:
         other = first.without_redundancy()
-        found = other.modes(assembly_modes.SEARCHES)
-        if found:
-            begin = assembly_modes.at(found[0].start.coordinates)
+        result = other.modes(assembly_modes.SEARCHES)
+        if result:
+            begin = assembly_modes.at(result[0].start.coordinates)
             judged = lambda m: _judged(m, concentric, worn, begin)[:2]
-            known = _known(other.mechanism, found[0].start, True, 0.0, judged)
-            first, start, sound = other._replace(mechanism=known[0]), *known[1:]
-    said = [assembly_modes.doubt(first.mechanism, first.tree, found)] if sound else []
-    said += [first.tree.turned(mechanism, start)] if sound else []
-    doubt = " ".join(filter(None, said))
+            values = _with_redundancy(other.mechanism, result[0].start, True, 0.0, judged)
+            first, start, sound = other._replace(mechanism=values[0]), *values[1:]
+    text = [assembly_modes.doubt(first.mechanism, first.tree, result)] if sound else []
+    text += [first.tree.turned(mechanism, start)] if sound else []
+    doubt = " ".join(filter(None, text))
     if doubt:
         warn(doubt)
     elsewhere = not np.array_equal(start.coordinates, first.start.coordinates)
@@ -400,10 +400,10 @@ def nearest(mechanism: Mechanism, concentric: bool = True, worn: dict | None = N
 def ready(mechanism: Mechanism, concentric: bool = True, worn: dict | None = None) -> Nearest:
     """A mechanism that knows which rows of its loops are redundant, and its start, both as
     `assemble` wants them. Raises `ValueError` for a start that is not sound."""
-    found = nearest(mechanism, concentric, worn)
-    if not is_traced(found.start) and not found.sound:
-        start_check.refuse(found.mechanism, found.start)
-    return found
+    result = nearest(mechanism, concentric, worn)
+    if not is_traced(result.start) and not result.sound:
+        start_check.refuse(result.mechanism, result.start)
+    return result
 
 
 def ready_from(
@@ -415,13 +415,13 @@ def ready_from(
     start, sound = begin(bare)
     if is_traced(start):
         return mechanism, begin(mechanism)[0]
-    known, start, sound = _known(bare, start, sound, time, begin)
+    values, start, sound = _with_redundancy(bare, start, sound, time, begin)
     if not sound:
-        start_check.refuse(known, start)
-    return known, start
+        start_check.refuse(values, start)
+    return values, start
 
 
-def _known(
+def _with_redundancy(
     bare: Mechanism, start: Start, sound: Any, time: Any, assembled: Callable
 ) -> tuple[Mechanism, Start, Any]:
     """The mechanism with its redundancy, the start, and whether it is sound, assembled anew where
@@ -434,12 +434,12 @@ def _known(
         place = _closest(bare, time)
     elif not redundancy.is_suspect(bare, start):
         return bare, start, sound
-    found = redundancy.redundancy(bare, place, time)
-    known = with_redundancy(bare, found)
-    if known.topology.depend:
-        return known, *assembled(known)
+    result = redundancy.redundancy(bare, place, time)
+    values = with_redundancy(bare, result)
+    if values.topology.depend:
+        return values, *assembled(values)
     if not sound and start_check.open_by(place) == 0 < start_check.open_by(start):
-        far = with_redundancy(bare, redundancy.searched(found, start))
+        far = with_redundancy(bare, redundancy.searched(result, start))
         other, fine = assembled(far)
         if fine:
             return far, other, fine
@@ -451,7 +451,7 @@ def _known(
         )
     # Rows that nearly depend on each other lead a search astray: what is missed is told from where
     # it is least.
-    return known, min(start, place, key=start_check.open_by), sound
+    return values, min(start, place, key=start_check.open_by), sound
 
 
 class Sampled(NamedTuple):
@@ -467,16 +467,16 @@ class Sampled(NamedTuple):
 def sampled(mechanism: Mechanism, concentric: bool, worn: dict | None) -> Sampled:
     """What samples share with a nominal mechanism. Raises `ValueError` for a start that is
     refused."""
-    found = ready(mechanism, concentric, worn)
-    known, start = found.mechanism, found.start
+    result = ready(mechanism, concentric, worn)
+    values, start = result.mechanism, result.start
     if is_traced(start):
-        return Sampled((), known.topology.redundancy, None)
-    names = start_check.determined(known, start) if mechanism.start else ()
+        return Sampled((), values.topology.redundancy, None)
+    names = start_check.determined(values, start) if mechanism.start else ()
     if is_solved(mechanism, concentric):
-        return Sampled(names, known.topology.redundancy, None)
+        return Sampled(names, values.topology.redundancy, None)
     if names:
         # Their rows are held no more.
         begin = assembly_modes.at(start.coordinates)
-        start = _judged(loosened(known, names), concentric, worn, begin).start
-    mode = assembly_modes.nominal(known, start, found.searched)
-    return Sampled(names, known.topology.redundancy, mode)
+        start = _judged(loosened(values, names), concentric, worn, begin).start
+    mode = assembly_modes.nominal(values, start, result.searched)
+    return Sampled(names, values.topology.redundancy, mode)

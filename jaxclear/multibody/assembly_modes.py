@@ -85,11 +85,11 @@ def nominal(mechanism: Mechanism, start: Start, searched: bool) -> Nominal:
     count = rows.shape[1]
     across = np.eye(count)
     if rows.size:
-        _, sizes, ways = np.linalg.svd(rows)
-        own = ways[: _rank(sizes)]
-        across = across - own.T @ own
-    whole = np.trace(across) < 0.5
-    coordinates = start.coordinates if searched or whole else None
+        _, sizes, directions = np.linalg.svd(rows)
+        part = directions[: _rank(sizes)]
+        across = across - part.T @ part
+    total = np.trace(across) < 0.5
+    coordinates = start.coordinates if searched or total else None
     branches = tuple(branch.name for branch in mechanism.topology.branches)
     return Nominal(coordinates, jnp.asarray(rows), jnp.asarray(across), branches)
 
@@ -116,8 +116,8 @@ def has_landed(tree: "Coordinates", start: Start) -> bool:
     derivative of a chain's end by two of its turns is as long as the first by one of them, so L is
     taken as the norm of J times the root of the number of turns.
     """
-    apart = tree.distance(start)
-    if apart <= start_check.HELD:
+    far = tree.distance(start)
+    if far <= start_check.HELD:
         return True
     rows = np.asarray(start.rows)
     if not rows.size or not np.all(np.isfinite(rows)):
@@ -125,7 +125,7 @@ def has_landed(tree: "Coordinates", start: Start) -> bool:
     sizes = np.linalg.svd(rows, compute_uv=False)
     smallest = sizes[_rank(sizes) - 1]
     bound = np.linalg.norm(rows) * np.sqrt(rows.shape[1])
-    return apart <= 2.0 * smallest / bound / (1.0 + ABOUT)
+    return far <= 2.0 * smallest / bound / (1.0 + ABOUT)
 
 
 def _rank(sizes: np.ndarray) -> int:
@@ -160,49 +160,49 @@ def modes(
     """The modes to which searches from beginnings lead, each counted so often: the nearest to what
     is guessed first, of those as near the one that is nearest to the mechanism's own beginning,
     which is its joints' homes where nothing is guessed."""
-    found: list[Mode] = []
+    result: list[Mode] = []
     for begin, count in beginnings:
         start, sound = search(begin)
         if sound:
-            found = _with(tree, found, start, count)
+            result = _with(tree, result, start, count)
 
     def rank(mode):
         near = round(mode.distance / start_check.HELD)
-        apart = tree.apart(np.asarray(mode.start.coordinates), tree.seed)
-        return near, float(np.linalg.norm(apart))
+        far = tree.apart(np.asarray(mode.start.coordinates), tree.seed)
+        return near, float(np.linalg.norm(far))
 
-    return sorted(found, key=rank)
+    return sorted(result, key=rank)
 
 
-def _with(tree: "Coordinates", found: list[Mode], start: Start, count: int) -> list[Mode]:
+def _with(tree: "Coordinates", result: list[Mode], start: Start, count: int) -> list[Mode]:
     """Modes with one to which so many searches have led."""
-    own = Mode(tree.unwound(start), tree.distance(start), count)
-    for i, mode in enumerate(found):
-        if _is_one(tree, mode.start, own.start):
-            return [*found[:i], mode._replace(found=mode.found + count), *found[i + 1 :]]
-    return [*found, own]
+    part = Mode(tree.unwound(start), tree.distance(start), count)
+    for i, mode in enumerate(result):
+        if _is_one(tree, mode.start, part.start):
+            return [*result[:i], mode._replace(found=mode.found + count), *result[i + 1 :]]
+    return [*result, part]
 
 
 def _is_one(tree: "Coordinates", a: Start, b: Start) -> bool:
     """Whether two starts are of one mode. Of one that leaves freedoms those are told that meet what
     is guessed alike."""
-    apart = tree.apart(np.asarray(a.coordinates), np.asarray(b.coordinates))
-    if np.max(np.abs(apart), initial=0.0) <= SAME:
+    far = tree.apart(np.asarray(a.coordinates), np.asarray(b.coordinates))
+    if np.max(np.abs(far), initial=0.0) <= SAME:
         return True
     away = tree.away(a) - tree.away(b)
     return len(away) > 0 and leaves_free(a) and bool(np.max(np.abs(away)) <= SAME)
 
 
-def doubt(mechanism: Mechanism, tree: "Coordinates", found: list[Mode]) -> str:
+def doubt(mechanism: Mechanism, tree: "Coordinates", result: list[Mode]) -> str:
     """A sentence where the second of modes is about as near to what is guessed as the first, with
     both distances; "" where it is not."""
-    if len(found) < 2 or not mechanism.guess:
+    if len(result) < 2 or not mechanism.guess:
         return ""
-    first, second = found[:2]
+    first, second = result[:2]
     if second.distance >= max(ABOUT * first.distance, start_check.HELD):
         return ""
     places = [np.asarray(mode.start.coordinates) for mode in (first, second)]
-    name = tree.most_apart(*places)
+    name = tree.farthest(*places)
     here, there = (tree.in_words(place, name) for place in places)
     more = (
         f"Guess {name} nearer to what is meant"
@@ -232,13 +232,13 @@ class Coordinates:
         for branch, joint in zip(self.branches, self.joints, strict=True):
             values = mechanism.guess.get(branch.name)
             if values is not None:
-                whole = all(joint.told(values))
-                self.guessed[branch.coordinates] = [whole or unit != "1" for unit in joint.units]
+                total = all(joint.told(values))
+                self.guessed[branch.coordinates] = [total or unit != "1" for unit in joint.units]
 
     def away(self, start: Start) -> np.ndarray:
         """From all that is guessed to a start [rad, longest arms]."""
-        own = self.apart(np.asarray(start.coordinates), self.seed)[self.guessed]
-        return np.concatenate([own, *(np.ravel(x) for x in start.away.values())])
+        part = self.apart(np.asarray(start.coordinates), self.seed)[self.guessed]
+        return np.concatenate([part, *(np.ravel(x) for x in start.away.values())])
 
     def distance(self, start: Start) -> float:
         """How far a start is from all that is guessed [rad, longest arms]."""
@@ -256,44 +256,44 @@ class Coordinates:
     def turned(self, mechanism: Mechanism, start: Start) -> str:
         """A sentence for what is guessed and met but for whole turns, which couplings count; ""
         where nothing is."""
-        apart = np.asarray(start.coordinates) - self.seed
-        turns = np.round(apart / (2 * np.pi)) * ((self.units == "rad") & self.guessed)
+        far = np.asarray(start.coordinates) - self.seed
+        turns = np.round(far / (2 * np.pi)) * ((self.units == "rad") & self.guessed)
         for branch in self.branches if mechanism.couplings else ():
             most = max(turns[branch.coordinates], key=abs)
-            own = {n: c.joints() for n, c in mechanism.couplings.items()}
-            tied = [name for name, joints in own.items() if branch.name in joints]
+            entry = {n: c.joints() for n, c in mechanism.couplings.items()}
+            tied = [name for name, joints in entry.items() if branch.name in joints]
             if most and tied:
-                others = [one for one in own[tied[0]] if one != branch.name]
+                others = [one for one in entry[tied[0]] if one != branch.name]
                 return (
                     f'the guess of "{branch.name}" is met but for {abs(most):g} whole turns, which '
                     f'coupling "{tied[0]}" counts: guess the turns of {listed(others)} too.'
                 )
         return ""
 
-    def most_apart(self, q: np.ndarray, other: np.ndarray) -> str:
+    def farthest(self, q: np.ndarray, other: np.ndarray) -> str:
         """The joint or body, in quotes, whose coordinates tell two places apart most."""
-        apart = np.abs(self.apart(q, other))
-        sizes = [np.max(apart[branch.coordinates]) for branch in self.branches]
+        spread = np.abs(self.apart(q, other))
+        sizes = [np.max(spread[branch.coordinates]) for branch in self.branches]
         return f'"{self.branches[int(np.argmax(sizes))].name}"'
 
     def in_words(self, q: np.ndarray, name: str) -> str:
         """The coordinates of a joint or body, its name in quotes."""
-        own = next(b.coordinates for b in self.branches if f'"{b.name}"' == name)
-        numbers = ", ".join(f"{x:.4g}" for x in q[own])
-        return f"{name} is at {numbers if len(q[own]) == 1 else f'({numbers})'}"
+        entry = next(b.coordinates for b in self.branches if f'"{b.name}"' == name)
+        numbers = ", ".join(f"{x:.4g}" for x in q[entry])
+        return f"{name} is at {numbers if len(q[entry]) == 1 else f'({numbers})'}"
 
     def apart(self, q: np.ndarray, other: np.ndarray) -> np.ndarray:
         """How far coordinates are from others [rad, longest arms], turns by the shorter way."""
         parts = []
         for branch, joint in zip(self.branches, self.joints, strict=True):
-            own, far = q[branch.coordinates], other[branch.coordinates]
+            x, far = q[branch.coordinates], other[branch.coordinates]
             four = np.array([unit == "1" for unit in joint.units])
             # A quaternion and its opposite are one rotation, of twice their angle.
-            side = np.where(four & (np.sum(own[four] * far[four]) < 0), -1.0, 1.0)
-            parts.append(np.where(four, 2.0, 1.0) * (own - side * far))
-        apart = np.concatenate([np.zeros(0), *parts])
-        apart = np.where(self.units == "rad", np.angle(np.exp(1j * apart)), apart)
-        return np.where(self.units == "m", apart / self.arm, apart)
+            side = np.where(four & (np.sum(x[four] * far[four]) < 0), -1.0, 1.0)
+            parts.append(np.where(four, 2.0, 1.0) * (x - side * far))
+        difference = np.concatenate([np.zeros(0), *parts])
+        difference = np.where(self.units == "rad", np.angle(np.exp(1j * difference)), difference)
+        return np.where(self.units == "m", difference / self.arm, difference)
 
 
 def _repeats(joint: Any) -> np.ndarray:
@@ -302,8 +302,8 @@ def _repeats(joint: Any) -> np.ndarray:
     place = [0.3 * (i + 1) for i in range(len(joint.home))]
 
     def pose(q):
-        found = joint.motion(tuple(map(jnp.asarray, q)))
-        return np.array([float(x) for row in (*found.rotation, found.translation) for x in row])
+        result = joint.motion(tuple(map(jnp.asarray, q)))
+        return np.array([float(x) for row in (*result.rotation, result.translation) for x in row])
 
     out = []
     for i, unit in enumerate(joint.units):
@@ -319,17 +319,17 @@ def beginnings(mechanism: Mechanism, tree: Coordinates, count: int) -> Iterator[
     for k in range(count):
         led = k % 2 == 0
         heeded = [name for name in mechanism.guess if random.random() < 0.5]
-        kept = {*mechanism.start, *(heeded if led else ()), *parts_of_beams(mechanism.loads)}
+        saved = {*mechanism.start, *(heeded if led else ()), *parts_of_beams(mechanism.loads)}
         q = tree.seed.copy()
         for branch, joint in zip(tree.branches, tree.joints, strict=True):
-            own = np.array(
+            part = np.array(
                 [_drawn(random, unit, tree.arm) for unit in joint.units[: branch.coordinate_count]]
             )
             four = np.array([unit == "1" for unit in joint.units])
             if four.any():
-                own[four] /= np.linalg.norm(own[four])
-            if branch.name not in kept:
-                q[branch.coordinates] = np.where(four, own, q[branch.coordinates] + own)
+                part[four] /= np.linalg.norm(part[four])
+            if branch.name not in saved:
+                q[branch.coordinates] = np.where(four, part, q[branch.coordinates] + part)
         yield Beginning(jnp.array(True), jnp.array(led), jnp.asarray(q))
 
 

@@ -50,14 +50,14 @@ class StopOfRatio(AbstractCoordinateLoad):
 def with_damping_ratios(system: System) -> System:
     """The system with the damping ratios of its stops in the place of their restitution."""
     loads: Any = coordinate_loads(system)
-    found = {
+    result = {
         name: StopOfRatio(load.connection, load, damping_ratio_of(load.restitution))
         for name, load in loads
         if any(side.stop is load for side in load.sides())
         and load.damping is None
         and None not in (load.restitution, load.stiffness)
     }
-    return dataclasses.replace(system, loads=system.loads | found) if found else system
+    return dataclasses.replace(system, loads=system.loads | result) if result else system
 
 
 def with_damped_stops(system: System, motions: tuple[Motion, ...]) -> System:

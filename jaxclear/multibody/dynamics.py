@@ -59,9 +59,9 @@ def equations_of_motion(system: System, forces: Forces) -> tuple[list, list]:
         for subtree in system.topology.subtrees
     ]
     with jax.named_scope("equations of motion"):
-        found = map_grouped(subtree_equations, calls)
+        result = map_grouped(subtree_equations, calls)
     masses, right = [], []
-    for subtree, (mass, bias) in zip(system.topology.subtrees, found, strict=True):
+    for subtree, (mass, bias) in zip(system.topology.subtrees, result, strict=True):
         applied = [force for i in subtree for force in forces.coordinate_forces[i]]
         right.append(tuple(sp.sub(f, b) for f, b in zip(applied, bias, strict=True)))
         masses.append(mass)
@@ -76,7 +76,7 @@ def forward_dynamics(system: System, forces: Forces, stabilisation: Baumgarte | 
         with jax.named_scope("constraints"):
             loops = constraints.acceleration_equations(system, forces.motions, stabilisation)
     respond, constrain = constrained_inverse(masses, loops.rows, loops.alike, loops.dependence)
-    (free,) = respond([[x for own in right for x in own]])
+    (free,) = respond([[x for part in right for x in part]])
     accelerations, multipliers = constrain(free, loops.wanted)
     return Solution(
         tuple(tuple(accelerations[branch.speeds]) for branch in system.topology.branches),
@@ -85,15 +85,15 @@ def forward_dynamics(system: System, forces: Forces, stabilisation: Baumgarte | 
 
 
 def constrained_inverse(
-    masses: list, rows: list[JacobianRow], alike: tuple, dependence: Dependence | None
+    masses: list, rows: list[JacobianRow], same: tuple, dependence: Dependence | None
 ) -> tuple[Callable[[list[list]], list[list]], Callable[[list, list], tuple[list, tuple]]]:
     """Two functions: M^-1 by subtrees, from several columns of generalised forces to as many of
     accelerations, structurally zero where no force acts; and the correction of accelerations to
     what constraint rows want, with its multipliers; where rows depend on each other the least of
-    them, torques measured by the longest arm. `alike` as of `ClosureEquations`: of rows that follow
+    them, torques measured by the longest arm. `same` as of `ClosureEquations`: of rows that follow
     from others at a singular position the multipliers are 0."""
-    found = iter(map_many(factorisation.factor, [(mass,) for mass in masses if mass]))
-    factors = [next(found) if mass else None for mass in masses]
+    result = iter(map_many(factorisation.factor, [(mass,) for mass in masses if mass]))
+    factors = [next(result) if mass else None for mass in masses]
     size = sum(len(mass) for mass in masses)
 
     def respond(columns):
@@ -103,13 +103,13 @@ def constrained_inverse(
 
     columns = respond([[row.get(j, 0) for j in range(size)] for row in rows])
     schur = [[along(row, column) for column in columns] for row in rows]
-    closed = _solver(schur, alike, dependence) if rows else None
+    closed = _solver(schur, same, dependence) if rows else None
 
-    def constrain(accelerations, wanted):
+    def constrain(accelerations, needed):
         if closed is None:
             return accelerations, ()
         lacking = []
-        for target, row in zip(wanted, rows, strict=True):
+        for target, row in zip(needed, rows, strict=True):
             lacking.append(sp.sub(target, along(row, accelerations)))
         multipliers = closed(tuple(lacking))
         changed = []
@@ -128,27 +128,27 @@ def _responses(columns: list[list], masses: list, factors: list) -> list[list]:
         parts.append([tuple(itertools.islice(rest, len(mass))) for mass in masses])
     moved = [
         (k, i)
-        for k, own in enumerate(parts)
-        for i, each in enumerate(own)
+        for k, part in enumerate(parts)
+        for i, each in enumerate(part)
         if not all(map(sp.is_zero, each))
     ]
-    found = map_many(factorisation.solve, [(factors[i], parts[k][i]) for k, i in moved])
-    for (k, i), own in zip(moved, found, strict=True):
-        parts[k][i] = own
-    return [[x for each in own for x in each] for own in parts]
+    result = map_many(factorisation.solve, [(factors[i], parts[k][i]) for k, i in moved])
+    for (k, i), part in zip(moved, result, strict=True):
+        parts[k][i] = part
+    return [[x for each in part for x in each] for part in parts]
 
 
 def _solver(
-    schur: list[list], alike: tuple, dependence: Dependence | None
+    schur: list[list], same: tuple, dependence: Dependence | None
 ) -> Callable[[tuple], tuple]:
-    """From what the rows lack to multipliers; `alike`: of each row which count alike (None: it is
+    """From what the rows lack to multipliers; `same`: of each row which count alike (None: it is
     taken as it is)."""
     if dependence is None:
-        whole: dict[Any, Any] = {}
-        for i, kind in enumerate(alike):
-            whole[kind] = sp.add(whole.get(kind, 0), schur[i][i])
-        least = {kind: constant(SINGULAR * x) for kind, x in whole.items()} | {None: None}
-        factors = factorisation.factor(schur, [least[kind] for kind in alike])
+        total: dict[Any, Any] = {}
+        for i, kind in enumerate(same):
+            total[kind] = sp.add(total.get(kind, 0), schur[i][i])
+        least = {kind: constant(SINGULAR * x) for kind, x in total.items()} | {None: None}
+        factors = factorisation.factor(schur, [least[kind] for kind in same])
         return lambda lacking: factorisation.solve(factors, lacking)
     measured = dependence.measures
 
@@ -156,8 +156,8 @@ def _solver(
         return tuple(sp.mul(x, w) for x, w in zip(values, measured, strict=True))
 
     lengths = [scaled(sp.mul(x, w) for x in row) for row, w in zip(schur, measured, strict=True)]
-    known = factorisation.factor_of_rank(lengths, dependence.rank)
-    return lambda lacking: scaled(factorisation.solve_least(known, scaled(lacking)))
+    present = factorisation.factor_of_rank(lengths, dependence.rank)
+    return lambda lacking: scaled(factorisation.solve_least(present, scaled(lacking)))
 
 
 def joint_wrenches(system: System, forces: Forces, solution: Solution) -> tuple[Wrench, ...]:
@@ -174,12 +174,12 @@ def joint_wrenches(system: System, forces: Forces, solution: Solution) -> tuple[
     for row in constraints.coupling_rows(system, forces.motions, solution.multipliers):
         add_wrenches(wrenches, row)
     meshes = [
-        (own.closure, forces.pressing[name].torque / own.scale)
-        for name, own in system.transmissions.items()
+        (transmission.closure, forces.pressing[name].torque / transmission.scale)
+        for name, transmission in system.transmissions.items()
     ]
     if system.topology.couplings:
         rows = constraints.by_closure(system, forces.motions, solution.multipliers)
-        meshes += [(closure, own.get(0, 0.0)) for closure, own in rows]
+        meshes += [(closure, transmission.get(0, 0.0)) for closure, transmission in rows]
     for pull in transmissions.pulls_of_centres(forces.motions, meshes):
         add_action_and_reaction(wrenches, pull.closure, pull.pose, *pull.wrench)
     accelerations = kinematics.link_accelerations(system, forces.motions, solution.accelerations)
@@ -227,7 +227,7 @@ def mechanical_energy(system: System, forces: Forces) -> tuple[Any, Any]:
         return moving, sp.dot(system.gravity, weighted)
 
     pairs = list(zip(system.links, forces.motions, strict=True))
-    calls = [(own.mass, own.first_moment, own.inertia, m.pose, m.twist) for own, m in pairs]
+    calls = [(part.mass, part.first_moment, part.inertia, m.pose, m.twist) for part, m in pairs]
     for index, (moving, lifted) in enumerate(map_many(energies, calls)):
         rotor = system.links[index].rotor
         if rotor is not None:

@@ -22,7 +22,7 @@ from jaxclear.multibody.pose_rows import closing_rows
 from jaxclear.multibody.topology import Topology, coordinate_joint, free_joint, grow
 
 # Twists that say no more than others [m, 1]: rounding.
-ALIKE = 1e-9
+SAME = 1e-9
 
 
 def exchanged(
@@ -31,8 +31,8 @@ def exchanged(
     """The connections with another joint between the same markers. Raises `ValueError` with a
     sentence for names that there are not and joints that do not fit."""
     check_name("joint", name, connections, " in this mechanism")
-    wanted = "one of jaxclear.joint or jaxclear.clearance"
-    expect(joint, (AbstractJoint, AbstractClearance), f'what is put in place of "{name}"', wanted)
+    target = "one of jaxclear.joint or jaxclear.clearance"
+    expect(joint, (AbstractJoint, AbstractClearance), f'what is put in place of "{name}"', target)
     old = connections[name]
     drive = drive_of(old.joint)
     if drive is not None and drive_of(joint) is None:
@@ -44,10 +44,10 @@ def exchanged(
             )
         undriven: Any = joint
         joint = dataclasses.replace(undriven, drive=drive)
-    found = dict(connections)
-    found[name] = Connection(joint, old.parent, old.child)
-    _check_fits(name, old.joint, coordinate_joint(name, bodies, found), joint, connections, bodies)
-    return found
+    result = dict(connections)
+    result[name] = Connection(joint, old.parent, old.child)
+    _check_fits(name, old.joint, coordinate_joint(name, bodies, result), joint, connections, bodies)
+    return result
 
 
 def _check_fits(
@@ -56,21 +56,21 @@ def _check_fits(
     """That one of two joints constrains no more than the other does."""
     before = coordinate_joint(name, bodies, dict(connections))
     if before.rows is None or ideal.rows is None:
-        ways = [_ways(joint) for joint in (before, ideal)]
-        if np.linalg.matrix_rank(np.concatenate(ways), ALIKE) == max(map(len, ways)):
+        directions = [_directions(joint) for joint in (before, ideal)]
+        if np.linalg.matrix_rank(np.concatenate(directions), SAME) == max(map(len, directions)):
             return
     else:
         rows, new_rows = set(before.rows), set(ideal.rows)
         if rows <= new_rows or new_rows <= rows:
             return
-    said = "" if ideal is joint else f", which without its play is a {_kind(ideal)}"
+    text = "" if ideal is joint else f", which without its play is a {_kind(ideal)}"
     raise ValueError(
-        f'joint "{name}" is a {type(old).__name__}; a {type(joint).__name__}{said} moves in other '
+        f'joint "{name}" is a {type(old).__name__}; a {type(joint).__name__}{text} moves in other '
         "directions and does not fit in its place."
     )
 
 
-def _ways(joint: AbstractJoint) -> np.ndarray:
+def _directions(joint: AbstractJoint) -> np.ndarray:
     """The twists of a joint's speeds at home."""
     columns = joint.columns(joint.home)
     return np.array([[*x.linear, *x.angular] for x in columns], float).reshape(-1, 6)
@@ -80,18 +80,18 @@ def _kind(joint: AbstractJoint) -> str:
     return type(joint).__name__.removeprefix("Permanent")
 
 
-def told_for_start(
+def start_arguments(
     before: Topology,
     connections: dict[str, Connection],
     bodies: dict[str, Body],
     name: str,
-    given: Mapping[str, Mapping[str, Any]],
+    values: Mapping[str, Mapping[str, Any]],
     first: tuple[str, ...],
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """(guess, speeds) with the coordinate of the exchanged joint where it stood, so that the start
     stays as it was. Raises `ValueError` where a body in space is held by a joint that only acts in
     a plane."""
-    guess, speeds = dict(given["guess"]), dict(given["speeds"])
+    guess, speeds = dict(values["guess"]), dict(values["speeds"])
     joint, after = connections[name].joint, grow(bodies, connections, first=first)
     if before.branch_of(name) is None or not isinstance(joint, AbstractClearance):
         return guess, speeds
@@ -99,15 +99,15 @@ def told_for_start(
     afloat -= {b.body for b in before.branches if b.connection is None}
     form = coordinate_joint(name, bodies, connections)
     for body in sorted(afloat):
-        lost = [row for row in closing_rows(form) if row not in joint.ideal_rows]
-        if lost and len(free_joint(bodies[body]).home) > len(lost):
+        loss = [row for row in closing_rows(form) if row not in joint.ideal_rows]
+        if loss and len(free_joint(bodies[body]).home) > len(loss):
             raise ValueError(
                 f'joint "{name}" is to be a {type(joint).__name__}, which acts in a plane, and '
-                f'nothing else holds body "{body}" out of it (rows {listed(lost)}); take a joint '
+                f'nothing else holds body "{body}" out of it (rows {listed(loss)}); take a joint '
                 "that acts in space, such as a JournalBearing with a flange."
             )
     # A home counts where nothing else is guessed, as it did while the tree carried the joint.
-    if not guess and name not in given["start"] and not afloat & {*given["start"]}:
+    if not guess and name not in values["start"] and not afloat & {*values["start"]}:
         guess[name] = form.home
     if afloat and name not in speeds and not afloat & {*speeds}:
         speeds[name] = (0.0,) * len(form.columns(form.home))
@@ -120,8 +120,8 @@ def without_loads_on(loads: Mapping[str, Any], joints: tuple[str, ...]) -> dict[
     return {name: load for name, load in loads.items() if not acts(load)}
 
 
-def at_rest_under(loads: Mapping[str, Any], held: tuple[str, ...]) -> dict[str, Any]:
+def at_rest_under(loads: Mapping[str, Any], fixed: tuple[str, ...]) -> dict[str, Any]:
     """The loads that say where a mechanism stands of which some joints are held: neither those on
     the coordinates of these nor inertias."""
     idle = lambda x: isinstance(x, AbstractStateLoad) and x.inertia_along() is not None
-    return {n: load for n, load in without_loads_on(loads, held).items() if not idle(load)}
+    return {n: load for n, load in without_loads_on(loads, fixed).items() if not idle(load)}

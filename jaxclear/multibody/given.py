@@ -27,12 +27,12 @@ from jaxclear.multibody.topology import Branch, coordinate_joint
 from jaxclear.multibody.tree import Motion
 
 
-def goes_backwards(branch: Branch, joint: AbstractJoint) -> bool:
+def is_reversed(branch: Branch, joint: AbstractJoint) -> bool:
     """Whether the tree's coordinates are those of the parent, seen from the child."""
     return branch.reversed and isinstance(joint, AbstractGroupJoint)
 
 
-def turned_round(joint: AbstractJoint, q: tuple, v: tuple) -> tuple[tuple, tuple]:
+def reversed_motion(joint: AbstractJoint, q: tuple, v: tuple) -> tuple[tuple, tuple]:
     """Coordinates and speeds with which the inner marker moves as seen from the outer one, from
     those with which the outer one moves as seen from the inner: its own inverse."""
     pose = joint.motion(q)
@@ -46,19 +46,19 @@ def turned_round(joint: AbstractJoint, q: tuple, v: tuple) -> tuple[tuple, tuple
     return joint.coordinates_at(back.pose), joint.speeds_at(*back)
 
 
-def rows_turned_round(
+def reversed_rows(
     joint: AbstractJoint, q: Float[Array, "time q"], v: Float[Array, "time v"]
 ) -> tuple[Float[Array, "time q"], Float[Array, "time v"]]:
     """The same of every row; quaternions, which tell a rotation twice, go on with their sign."""
 
     def one(q, v):
-        return tuple(map(sp.stack, turned_round(joint, tuple(q), tuple(v))))
+        return tuple(map(sp.stack, reversed_motion(joint, tuple(q), tuple(v))))
 
     q, v = jax.vmap(one)(q, v)
     quaternion = [i for i, unit in enumerate(joint.units) if unit == "1"]
     if quaternion:
-        own = q[:, jnp.array(quaternion)]
-        steady = jnp.sum(own[1:] * own[:-1], axis=1) >= 0
+        part = q[:, jnp.array(quaternion)]
+        steady = jnp.sum(part[1:] * part[:-1], axis=1) >= 0
         sign = jnp.concatenate([jnp.ones(1), jnp.cumprod(jnp.where(steady, 1.0, -1.0))])
         q = q.at[:, jnp.array(quaternion)].multiply(sign[:, None])
     return q, v
@@ -66,7 +66,7 @@ def rows_turned_round(
 
 def at_start(branch: Branch, joint: AbstractJoint, q: Any, v: Any) -> tuple[tuple, tuple]:
     """The tree's coordinates and speeds from those of the connection."""
-    return turned_round(joint, tuple(q), tuple(v)) if goes_backwards(branch, joint) else (q, v)
+    return reversed_motion(joint, tuple(q), tuple(v)) if is_reversed(branch, joint) else (q, v)
 
 
 class Source(NamedTuple):
@@ -106,45 +106,45 @@ def coordinate_equations(
     motions: tuple[Motion, ...],
     q: tuple,
     sources: list[Source],
-    given: list[tuple],
+    inputs: list[tuple],
     nearly: bool = False,
 ) -> list[Equations]:
-    """Coordinates of these joints that are to be `given`, or `nearly`, angles by the shorter way;
+    """Coordinates of these joints that are to be `inputs`, or `nearly`, angles by the shorter way;
     `q` are those of the tree, by branch."""
     calls = []
-    for where, values in zip(sources, given, strict=True):
+    for where, values in zip(sources, inputs, strict=True):
         joint = where.joint
-        wanted = joint.start(values)
+        target = joint.start(values)
         if where.branch is not None:
-            own, turns = q[where.branch], nearly
+            part, turns = q[where.branch], nearly
             branch, still = system.topology.branches[where.branch], (0.0,) * len(joint.told(values))
-            wanted = at_start(branch, joint, wanted, still)[0]
+            target = at_start(branch, joint, target, still)[0]
         else:
-            own = joint.coordinates_at(kinematics.relative_motion(where.closure, motions)[1])
+            part = joint.coordinates_at(kinematics.relative_motion(where.closure, motions)[1])
             turns = True
-        calls.append((joint, own, wanted, turns))
-    found = []
-    each = zip(sources, given, map_many(_increment, calls), strict=True)
+        calls.append((joint, part, target, turns))
+    result = []
+    each = zip(sources, inputs, map_many(_increment, calls), strict=True)
     for where, values, missed in each:
-        told = where.joint.told(values)
-        rows = _rows(system, motions, where, len(told))
-        kept = [i for i, known in enumerate(told) if known]
-        found.append(Equations(tuple(missed[i] for i in kept), [rows[i] for i in kept]))
-    return found
+        report = where.joint.told(values)
+        rows = _rows(system, motions, where, len(report))
+        saved = [i for i, present in enumerate(report) if present]
+        result.append(Equations(tuple(missed[i] for i in saved), [rows[i] for i in saved]))
+    return result
 
 
 def speed_equations(
-    system: System, motions: tuple[Motion, ...], q: tuple, v: tuple, where: Source, given: tuple
+    system: System, motions: tuple[Motion, ...], q: tuple, v: tuple, where: Source, values: tuple
 ) -> Equations:
-    """Speeds that are to be `given`; `q` and `v` are those of the tree, by branch."""
+    """Speeds that are to be `values`; `q` and `v` are those of the tree, by branch."""
     if where.branch is not None:
-        own, branch = v[where.branch], system.topology.branches[where.branch]
-        place = at_start(branch, where.joint, q[where.branch], own)[0]
-        given = at_start(branch, where.joint, place, given)[1]
+        part, branch = v[where.branch], system.topology.branches[where.branch]
+        place = at_start(branch, where.joint, q[where.branch], part)[0]
+        values = at_start(branch, where.joint, place, values)[1]
     else:
-        own = where.joint.speeds_at(*kinematics.relative_motion(where.closure, motions)[2])
-    missed = tuple(jnp.asarray(sp.sub(a, b), float) for a, b in zip(own, given, strict=True))
-    return Equations(missed, _rows(system, motions, where, len(given)))
+        part = where.joint.speeds_at(*kinematics.relative_motion(where.closure, motions)[2])
+    missed = tuple(jnp.asarray(sp.sub(a, b), float) for a, b in zip(part, values, strict=True))
+    return Equations(missed, _rows(system, motions, where, len(values)))
 
 
 def _rows(
@@ -165,20 +165,18 @@ def _increment(joint: AbstractJoint, q: tuple, origin: tuple, turns: bool) -> tu
     quaternion = [i for i, unit in enumerate(joint.units) if unit == "1"]
     # A quaternion and its opposite are one rotation.
     side = jnp.where(sp.total(q[i] * origin[i] for i in quaternion) < 0, -1.0, 1.0)
-    apart = [
+    gap = [
         a - (side * b if i in quaternion else b)
         for i, (a, b) in enumerate(zip(q, origin, strict=True))
     ]
     if turns:
         angles = [i for i, unit in enumerate(joint.units) if unit == "rad"]
-        apart = [
-            jnp.arctan2(jnp.sin(x), jnp.cos(x)) if i in angles else x for i, x in enumerate(apart)
-        ]
+        gap = [jnp.arctan2(jnp.sin(x), jnp.cos(x)) if i in angles else x for i, x in enumerate(gap)]
     out = []
     count = len(joint.columns(joint.home))
     for j in range(count):
         moved = joint.rate(q, tuple(1.0 if i == j else 0.0 for i in range(count)))
-        out.append(sp.dot(moved, apart) / sp.dot(moved, moved))
+        out.append(sp.dot(moved, gap) / sp.dot(moved, moved))
     return tuple(out)
 
 

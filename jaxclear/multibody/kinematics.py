@@ -40,7 +40,7 @@ def link_motions(system: System, q: tuple, v: tuple, time: Any) -> tuple[Motion,
         (*by_subtree(subtree, system.links, q, v), time) for subtree in system.topology.subtrees
     ]
     with jax.named_scope("kinematics"):
-        return tuple(motion for own in map_grouped(tree.link_motions, calls) for motion in own)
+        return tuple(motion for part in map_grouped(tree.link_motions, calls) for motion in part)
 
 
 def link_accelerations(
@@ -52,9 +52,9 @@ def link_accelerations(
     ground = upward(system)
     out: list[Twist] = []
     for subtree in system.topology.subtrees:
-        links, own = by_subtree(subtree, system.links, motions)
+        links, part = by_subtree(subtree, system.links, motions)
         free = None if accelerations is None else tuple(accelerations[i] for i in subtree)
-        out.extend(tree.link_accelerations(links, own, free, ground))
+        out.extend(tree.link_accelerations(links, part, free, ground))
     return tuple(out)
 
 
@@ -151,32 +151,32 @@ def relative_jacobians(
     """The same of many closures; `rates`: of each a function, what it takes first, and the pose;
     alike ones are traced once."""
     columns = [
-        [jacobian_columns(system, motions, link) for link in (own.parent_link, own.child_link)]
-        for own in closures
+        [jacobian_columns(system, motions, link) for link in (part.parent_link, part.child_link)]
+        for part in closures
     ]
 
-    def entries(given, pose, markers, twists, rates):
-        found = []
-        for side, (marker, own) in enumerate(zip(markers, twists, strict=True)):
-            for column in own:
+    def entries(values, pose, markers, twists, rates):
+        result = []
+        for side, (marker, entry) in enumerate(zip(markers, twists, strict=True)):
+            for column in entry:
                 twist = loops.marker_twist(column, marker)
                 pair = (twist, STILL) if side == 0 else (STILL, twist)
                 velocities = loops.relative_velocity(pose, *pair)
-                found.append(tuple(rates(*given, pose, *velocities)))
-        return tuple(found)
+                result.append(tuple(rates(*values, pose, *velocities)))
+        return tuple(result)
 
     calls = [
-        (given, pose, (own.parent, own.child), tuple(tuple(x.values()) for x in moved), function)
-        for own, moved, (function, given, pose) in zip(closures, columns, rates, strict=True)
+        (inputs, pose, (part.parent, part.child), tuple(tuple(x.values()) for x in moved), function)
+        for part, moved, (function, inputs, pose) in zip(closures, columns, rates, strict=True)
     ]
     jacobians = []
     each = zip(columns, rates, map_many(entries, calls), strict=True)
-    for moved, (function, given, pose), found in each:
-        places = [j for own in moved for j in own]
-        like = found[0] if found else function(*given, pose, sp.ZERO, sp.ZERO)
+    for moved, (function, inputs, pose), out in each:
+        places = [j for part in moved for j in part]
+        like = out[0] if out else function(*inputs, pose, sp.ZERO, sp.ZERO)
         rows: list[JacobianRow] = [{} for _ in like]
-        for j, own in zip(places, found, strict=True):
-            for row, entry in zip(rows, own, strict=True):
+        for j, part in zip(places, out, strict=True):
+            for row, entry in zip(rows, part, strict=True):
                 if not sp.is_zero(entry):
                     row[j] = sp.add(row.get(j, 0), entry)
         jacobians.append(rows)

@@ -18,7 +18,7 @@ from jaxclear.multibody.tree import transform_twist
 
 AXIS = {"x": 0, "y": 1, "z": 2}
 # The row of a coupling, by what is left of it: a length, or an angle.
-WAY, TURN = "way", "turn"
+LENGTH, TURN = "way", "turn"
 
 
 class Baumgarte(AbstractQuantified):
@@ -111,10 +111,10 @@ def reverse(relative: Relative, turn: sp.Mat) -> Relative:
     pose = relative.pose.inverse()
     # Seen from the child the parent goes the other way, and turns about it.
     back = sp.minus(sp.cross(spin, relative.pose.translation), velocity)
-    turned = sp.product(sp.transpose(turn), sp.product(pose.rotation, turn))
+    rotated = sp.product(sp.transpose(turn), sp.product(pose.rotation, turn))
     into = lambda vector: sp.apply_transposed(turn, sp.apply_transposed(rotation, vector))
     return Relative(
-        Pose(turned, sp.apply_transposed(turn, pose.translation)),
+        Pose(rotated, sp.apply_transposed(turn, pose.translation)),
         into(back),
         tuple(sp.neg(x) for x in into(spin)),
     )
@@ -168,14 +168,14 @@ def relative_velocity(pose: Pose, parent: Twist, child: Twist) -> tuple[sp.Vec, 
     """Rate of the child's place and angular velocity, both seen from the moving parent's marker, in
     its axes.
     """
-    own = sp.apply(pose.rotation, child.linear)
+    part = sp.apply(pose.rotation, child.linear)
     carried = sp.plus(parent.linear, sp.cross(parent.angular, pose.translation))
-    return sp.minus(own, carried), sp.minus(sp.apply(pose.rotation, child.angular), parent.angular)
+    return sp.minus(part, carried), sp.minus(sp.apply(pose.rotation, child.angular), parent.angular)
 
 
 def is_length(row: str) -> bool:
     """Whether what is left of a row is a length [m]; an angle [rad] or a cosine [1] elsewhere."""
-    return len(row) == 1 or row == WAY
+    return len(row) == 1 or row == LENGTH
 
 
 def residuals_of(closure: Closure, pose: Pose) -> tuple:
@@ -223,10 +223,10 @@ def relative_acceleration(
         sp.scale(2, sp.cross(turning, velocity)),
     )
     linear = sp.minus(sp.apply(pose.rotation, material(child, view.child_twist)), carried)
-    own_spin = sp.apply(pose.rotation, view.child_twist.angular)
+    part_spin = sp.apply(pose.rotation, view.child_twist.angular)
     angular = sp.minus(
         sp.minus(sp.apply(pose.rotation, child.angular), parent.angular),
-        sp.cross(turning, own_spin),
+        sp.cross(turning, part_spin),
     )
     return linear, angular
 
@@ -241,6 +241,6 @@ def row_accelerations(rows, pose: Pose, spin: sp.Vec, linear: sp.Vec, angular: s
             out.append(linear[AXIS[row]])
         else:
             axis = columns[AXIS[row[2]]]
-            turned = sp.plus(sp.cross(angular, axis), sp.cross(spin, sp.cross(spin, axis)))
-            out.append(turned[AXIS[row[0]]])
+            rotated = sp.plus(sp.cross(angular, axis), sp.cross(spin, sp.cross(spin, axis)))
+            out.append(rotated[AXIS[row[0]]])
     return tuple(out)

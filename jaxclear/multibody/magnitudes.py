@@ -56,16 +56,16 @@ def across_the_plane(mechanism: Any) -> Iterator[str]:
     if not flat or not all(map(_keeps_z, connections.values())):
         return
     markers = [marker for each in connections.values() for marker in (each.parent, each.child)]
-    beside = any(_off(sp.vec3(marker.at)[2]) for marker in markers if marker.at is not None)
+    relative = any(_off(sp.vec3(marker.at)[2]) for marker in markers if marker.at is not None)
     for name, body in bodies.items():
-        if body.com is not None and _off(sp.vec3(body.com)[2]) and not beside:
+        if body.com is not None and _off(sp.vec3(body.com)[2]) and not relative:
             yield (
                 f'body "{name}" moves in the xy plane and has its com beside it, at '
                 f"z = {concrete(body.com[2]):g} m: in the plane that moves nothing."
             )
     for label, load in loads.items():
         pull = sp.vec3(load.acceleration) if isinstance(load, Gravity) else None
-        if pull is None or beside or not _off(pull[2]):
+        if pull is None or relative or not _off(pull[2]):
             continue
         if not (_off(pull[0]) or _off(pull[1])):
             yield (
@@ -147,7 +147,7 @@ WIDE_CLEARANCE = 0.5
 # crane's or satellite's, is given in mm; one of five times osmium's density within the length
 # between its joints, in grams. What extends
 # beyond the joints is seen by so many radii of gyration.
-LONG, THINNEST, DENSEST, WHOLE = 10.0, 1e-5, 1e5, 3.0
+LONG, THINNEST, DENSEST, TURNS = 10.0, 1e-5, 1e5, 3.0
 # Of a body that is this share of the longest only, as a slider's, its length says nothing of it.
 STUB = 0.1
 IN_MM = "is it in mm? Lengths are in m"
@@ -161,10 +161,10 @@ class UnusualMagnitude(UserWarning):
 def warn_of_magnitudes(mechanism: Any) -> None:
     """One warning with a sentence for each number that is beyond what mechanisms have."""
     parts = [(what, part, list(numbers(part))) for what, part in _parts(mechanism)]
-    found = [*_unusual(parts), *_lengths(mechanism, parts), *_masses(mechanism)]
-    found += [*_starts(mechanism), *across_the_plane(mechanism)]
-    if found:
-        warn(" ".join(found), UnusualMagnitude)
+    result = [*_unusual(parts), *_lengths(mechanism, parts), *_masses(mechanism)]
+    result += [*_starts(mechanism), *across_the_plane(mechanism)]
+    if result:
+        warn(" ".join(result), UnusualMagnitude)
 
 
 def _parts(mechanism: Any) -> Iterator[tuple[str, Any]]:
@@ -176,8 +176,8 @@ def _parts(mechanism: Any) -> Iterator[tuple[str, Any]]:
 
 def _unusual(parts: list) -> Iterator[str]:
     """Numbers beyond the range that their field calls usual."""
-    for what, _, found in parts:
-        for path, leaf, metadata in found:
+    for what, _, result in parts:
+        for path, leaf, metadata in result:
             if "usual" not in metadata:
                 continue
             low, high, slip = metadata["usual"]
@@ -216,14 +216,14 @@ def _lengths(mechanism: Any, parts: list) -> Iterator[str]:
                 f'body "{name}" has inertia = {inertia:g} kg m^2, as if its mass were {gyration:g} '
                 f"m away, where no joint is beyond {size:g} m: is it in kg mm^2?"
             )
-    for what, part, found in parts:
+    for what, part, result in parts:
         if not isinstance(part, Body):
-            yield from _of_part(what, part, found, size)
+            yield from _of_part(what, part, result, size)
 
 
 def _masses(mechanism: Any) -> Iterator[str]:
     """Bodies that are lighter than any gas, or heavier than any metal, within their own length."""
-    ends = [end for own in mechanism.connections.values() for end in (own.parent, own.child)]
+    ends = [end for part in mechanism.connections.values() for end in (part.parent, part.child)]
     places = [(end.body, end.at) for end in ends] + [
         (n, b.com) for n, b in mechanism.bodies.items()
     ]
@@ -236,7 +236,7 @@ def _masses(mechanism: Any) -> Iterator[str]:
         if length <= STUB * max(lengths.values()) or mass is None or None in inertia:
             continue
         # What stands out beyond the joints shows in the inertia.
-        size = max(length, WHOLE * math.sqrt(max(x or 0.0 for x in inertia) / mass))
+        size = max(length, TURNS * math.sqrt(max(x or 0.0 for x in inertia) / mass))
         if length >= LONG and mass < THINNEST * length**3:
             yield f'body "{name}" is {length:g} m long and has {mass:g} kg: {IN_MM}.'
         elif mass > DENSEST * size**3:
@@ -246,8 +246,8 @@ def _masses(mechanism: Any) -> Iterator[str]:
             )
 
 
-def _of_part(what: str, part: Any, found: list, size: float) -> Iterator[str]:
-    for path, leaf, metadata in found:
+def _of_part(what: str, part: Any, result: list, size: float) -> Iterator[str]:
+    for path, leaf, metadata in result:
         if metadata.get("unit") != "m" or "." in path:
             continue
         value = abs(concrete(leaf) or 0.0)
@@ -260,8 +260,8 @@ def _of_part(what: str, part: Any, found: list, size: float) -> Iterator[str]:
 def _radius(joint: Any) -> float:
     """Radius or width [m] of what is around the gap."""
     names = ("bearing_radius", "socket_radius", "width")
-    found = [concrete(getattr(joint, name, None)) for name in names]
-    return next((size for size in found if size is not None), math.inf)
+    result = [concrete(getattr(joint, name, None)) for name in names]
+    return next((size for size in result if size is not None), math.inf)
 
 
 def _starts(mechanism: Any) -> Iterator[str]:
@@ -273,11 +273,11 @@ def _starts(mechanism: Any) -> Iterator[str]:
             for value, unit in zip(values, coordinate_units(mechanism, name), strict=False):
                 angle = concrete(value)
                 if unit == "rad" and angle is not None and abs(angle) > MOST_TURNS:
-                    told = f'{what} of "{name}" is {angle:g} rad'
-                    yield f"{told}: is it in degrees? Angles are in rad."
+                    report = f'{what} of "{name}" is {angle:g} rad'
+                    yield f"{report}: is it in degrees? Angles are in rad."
 
 
 def _norm(vector: Any) -> float:
-    found = [concrete(x) for x in vector]
-    known = [x for x in found if x is not None]
-    return math.hypot(*known) if len(known) == len(found) else 0.0
+    result = [concrete(x) for x in vector]
+    values = [x for x in result if x is not None]
+    return math.hypot(*values) if len(values) == len(result) else 0.0

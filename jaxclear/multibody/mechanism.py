@@ -38,7 +38,7 @@ from jaxclear.ground.quantity import AbstractQuantified, as_number, on_device, w
 from jaxclear.ground.table import as_table
 from jaxclear.ground.wording import described, public_name
 from jaxclear.multibody import validation
-from jaxclear.multibody.exchange import exchanged, told_for_start, without_loads_on
+from jaxclear.multibody.exchange import exchanged, start_arguments, without_loads_on
 from jaxclear.multibody.loops import AsNeeded, Baumgarte, Projection
 from jaxclear.multibody.magnitudes import check_plane, warn_of_magnitudes
 from jaxclear.multibody.topology import (
@@ -47,7 +47,7 @@ from jaxclear.multibody.topology import (
     coordinate_units,
     grow,
     moves_along,
-    own_numbers,
+    numbers_of_parts,
     slides,
     unit_along,
 )
@@ -147,13 +147,13 @@ def in_words(mechanism: Any) -> str:
         ("guess", lambda name, values: _coordinates(mechanism, name, values, "")),
         ("speeds", lambda name, values: _coordinates(mechanism, name, values, "/s")),
     ):
-        if given := parts.get(part, getattr(mechanism, part)):
-            width = max(map(len, given))
-            lines += [part, *(f"  {n:<{width}}  {entry(n, x)}".rstrip() for n, x in given.items())]
+        if inputs := parts.get(part, getattr(mechanism, part)):
+            width = max(map(len, inputs))
+            lines += [part, *(f"  {n:<{width}}  {entry(n, x)}".rstrip() for n, x in inputs.items())]
     if mechanism.topology.loops and mechanism.stabilisation is not None:
-        held = mechanism.stabilisation
-        by = f"by {public_name(type(held))} {_numbers(held)}".rstrip()
-        lines.append(f"loops held {AS_NEEDED if isinstance(held, AsNeeded) else by}")
+        fixed = mechanism.stabilisation
+        by = f"by {public_name(type(fixed))} {_numbers(fixed)}".rstrip()
+        lines.append(f"loops held {AS_NEEDED if isinstance(fixed, AsNeeded) else by}")
     if mechanism.topology.overconstrained:
         lines.append(str(mechanism.topology.redundancy))
     return "\n".join(lines)
@@ -178,11 +178,11 @@ def _connection(mechanism: Any, name: str, connection: Connection) -> str:
     ends = f"{in_a_line(connection.parent)} to {in_a_line(connection.child)}"
     along = slides(mechanism, name)
     parts = list(fields_in_words(joint, lambda metadata: unit_along(metadata, along)))
-    own = [text for name, text in parts if not isinstance(getattr(joint, name), eqx.Module)]
+    part = [text for name, text in parts if not isinstance(getattr(joint, name), eqx.Module)]
     laws = [
         f"{INDENT}{text}" for name, text in parts if isinstance(getattr(joint, name), eqx.Module)
     ]
-    first = f"{public_name(type(joint))}, {ends}; {', '.join(own)}".rstrip("; ")
+    first = f"{public_name(type(joint))}, {ends}; {', '.join(part)}".rstrip("; ")
     return "\n".join([first, *laws])
 
 
@@ -203,25 +203,25 @@ def _guess(what: str, value: Any) -> tuple:
     several = isinstance(value, (tuple, list)) or getattr(value, "ndim", None)
     values = tuple(value) if several else (value,)
     try:
-        found = tuple(as_number(x) for x in values)
+        result = tuple(as_number(x) for x in values)
     except ValueError:
-        found = (None,)
-    if not found or any(x is None or isinstance(x, eqx.Module) for x in found):
+        result = (None,)
+    if not result or any(x is None or isinstance(x, eqx.Module) for x in result):
         raise ValueError(f"{what} is {described(value)}; it must be one number or several.")
-    return found
+    return result
 
 
-def _by_name(what: str, given: Any, needed: bool = False) -> dict[str, Any]:
+def _by_name(what: str, values: Any, needed: bool = False) -> dict[str, Any]:
     """A dictionary from names, each a text that says something; None is an empty one."""
-    if given is None and not needed:
+    if values is None and not needed:
         return {}
-    expect(given, Mapping, what, "a dictionary from names")
-    for name in given:
+    expect(values, Mapping, what, "a dictionary from names")
+    for name in values:
         if not isinstance(name, str) or not name.strip():
             raise ValueError(
                 f"a name in {what} is {described(name)}; it must be a text that is not empty."
             )
-    return dict(given)
+    return dict(values)
 
 
 class Mechanism(AbstractQuantified):
@@ -293,8 +293,8 @@ class Mechanism(AbstractQuantified):
             _by_name("couplings", couplings),
         )
         self.start, self.speeds, self.guess = (
-            Parts({n: _guess(f'{what} of "{n}"', x) for n, x in _by_name(what, given).items()})
-            for what, given in (("start", start), ("speeds", speeds), ("guess", guess))
+            Parts({n: _guess(f'{what} of "{n}"', x) for n, x in _by_name(what, values).items()})
+            for what, values in (("start", start), ("speeds", speeds), ("guess", guess))
         )
         self.order = tuple(dict.fromkeys([*self.start, *self.speeds, *self.guess]))
         bodies, connections, loads = with_pieces(*parts[:3])
@@ -324,8 +324,8 @@ class Mechanism(AbstractQuantified):
         """What is given for the start, under its argument's name, in the order given."""
         parts = {"start": self.start, "speeds": self.speeds, "guess": self.guess}
         return {
-            part: {name: own[name] for name in self.order if name in own}
-            for part, own in parts.items()
+            part: {name: entry[name] for name in self.order if name in entry}
+            for part, entry in parts.items()
         }
 
     def _shown(self):
@@ -339,17 +339,17 @@ class Mechanism(AbstractQuantified):
     @property
     def baumgarte(self) -> Baumgarte | None:
         """What pulls drifting loops back within the equations of motion."""
-        held = self.stabilisation
-        if isinstance(held, AsNeeded):
-            return None if held.projects else held.baumgarte
-        return held if isinstance(held, Baumgarte) else None
+        stabilisation = self.stabilisation
+        if isinstance(stabilisation, AsNeeded):
+            return None if stabilisation.projects else stabilisation.baumgarte
+        return stabilisation if isinstance(stabilisation, Baumgarte) else None
 
     @property
     def projects(self) -> bool:
         """Whether loops are closed anew after every step."""
-        held = self.stabilisation
-        asked = isinstance(held, Projection) or (isinstance(held, AsNeeded) and held.projects)
-        return asked and bool(self.topology.loops)
+        fixed = self.stabilisation
+        problem = isinstance(fixed, Projection) or (isinstance(fixed, AsNeeded) and fixed.projects)
+        return problem and bool(self.topology.loops)
 
     def with_joint(self, name: str, joint: AbstractJoint | AbstractClearance) -> "Mechanism":
         """The mechanism with another joint in place of one, such as one with clearance in place of
@@ -371,14 +371,14 @@ class Mechanism(AbstractQuantified):
         """
         connections = exchanged(self.connections, self.bodies, name, joint)
         start = dict(self.given)
-        start["guess"], start["speeds"] = told_for_start(
+        start["guess"], start["speeds"] = start_arguments(
             self.topology, connections, self.bodies, name, start, parts_of_beams(self.loads)
         )
         loads = self.loads
         if drive_of(self.connections[name].joint) is None and drive_of(connections[name].joint):
             loads = without_loads_on(loads, (name,))
             start = {
-                what: {n: x for n, x in own.items() if n != name} for what, own in start.items()
+                what: {n: x for n, x in part.items() if n != name} for what, part in start.items()
             }
         return rebuilt(self, connections=connections, loads=loads, **start)
 
@@ -417,7 +417,7 @@ class Mechanism(AbstractQuantified):
         if load is None:
             removable = [n for n in self.loads if n not in parts_of_beams(self.loads)]
             check_name("load", name, removable, " in this mechanism")
-            return self.with_loads({n: own for n, own in self.loads.items() if n != name})
+            return self.with_loads({n: x for n, x in self.loads.items() if n != name})
         return self.with_loads(self.loads | {name: load})
 
     def with_loads(self, loads: Mapping[str, AbstractLoad]) -> "Mechanism":
@@ -463,7 +463,7 @@ class Mechanism(AbstractQuantified):
                     "unit": unit,
                     "meaning": metadata.get("meaning", ""),
                 }
-                for name, leaf, metadata, unit in own_numbers(self)
+                for name, leaf, metadata, unit in numbers_of_parts(self)
             ]
         )
 
@@ -471,23 +471,23 @@ class Mechanism(AbstractQuantified):
 def _unshared(parts: tuple[dict[str, Any], ...]) -> tuple[Parts, ...]:
     """Parts whose numbers are each their own: of one bearing given to two joints a study may vary
     one clearance and leave the other."""
-    seen: set[int] = set()
+    view: set[int] = set()
 
-    def own(leaf):
+    def entry_of(leaf):
         if isinstance(leaf, jax.core.Tracer) or not isinstance(leaf, jax.Array):
             return leaf
-        first = id(leaf) not in seen
-        seen.add(id(leaf))
+        first = id(leaf) not in view
+        view.add(id(leaf))
         return leaf if first else on_device(np.array(leaf))
 
-    def told_apart(part):
-        new = [own(leaf) for leaf in jax.tree.leaves(part)]
-        kept = all(a is b for a, b in zip(new, jax.tree.leaves(part), strict=True))
-        return part if kept else jax.tree.unflatten(jax.tree.structure(part), new)
+    def unshared(part):
+        new = [entry_of(leaf) for leaf in jax.tree.leaves(part)]
+        is_saved = all(a is b for a, b in zip(new, jax.tree.leaves(part), strict=True))
+        return part if is_saved else jax.tree.unflatten(jax.tree.structure(part), new)
 
     return tuple(
         (Bodies if isinstance(one, Bodies) else Parts)(
-            (name, told_apart(part)) for name, part in dict.items(one)
+            (name, unshared(part)) for name, part in dict.items(one)
         )
         for one in parts
     )
@@ -499,8 +499,8 @@ PARTS = ("bodies", "connections", "loads", "couplings", "stabilisation")
 
 def rebuilt(mechanism: Mechanism, **changed: Any) -> Mechanism:
     """The mechanism built anew, by these of its arguments in the place of its own."""
-    own = {part: getattr(mechanism, part) for part in PARTS}
-    return Mechanism(**own | mechanism.given | changed)
+    entry = {part: getattr(mechanism, part) for part in PARTS}
+    return Mechanism(**entry | mechanism.given | changed)
 
 
 def ungiven(mechanism: Mechanism) -> Mechanism:
@@ -517,13 +517,13 @@ def with_redundancy(mechanism: Mechanism, redundancy: Redundancy | None) -> Mech
     return with_fields(mechanism, topology=topology)
 
 
-def held_as_needed(mechanism: Mechanism, projects: bool) -> Mechanism:
+def stabilised_as_needed(mechanism: Mechanism, projects: bool) -> Mechanism:
     """The mechanism as an integrator runs it that closes loops anew after every step (`projects`)
     or not, where nobody has said how its loops are held."""
-    held = mechanism.stabilisation
-    if not isinstance(held, AsNeeded) or held.projects == projects:
+    stabilisation = mechanism.stabilisation
+    if not isinstance(stabilisation, AsNeeded) or stabilisation.projects == projects:
         return mechanism
-    return with_fields(mechanism, stabilisation=AsNeeded(held.baumgarte, projects))
+    return with_fields(mechanism, stabilisation=AsNeeded(stabilisation.baumgarte, projects))
 
 
 def loosened(mechanism: Mechanism, names: tuple[str, ...]) -> Mechanism:

@@ -57,10 +57,10 @@ class Mesh(eqx.Module):
     def counted(self, residual: Any, pose: Pose, motions: tuple[Motion, ...]) -> Any:
         """The residual with whole turns; 0 where nothing tells them, so that speeds alone are
         tied."""
-        radii, turned = self.coupling.radii(self.drawn), self._turned(pose)
+        radii, rotated = self.coupling.radii(self.drawn), self._turned(pose)
         if len(radii) > 1 and self.counts == (None,) * len(radii):
             return jnp.zeros_like(residual)
-        for radius, angle, count in zip(radii, turned, self.counts, strict=True):
+        for radius, angle, count in zip(radii, rotated, self.counts, strict=True):
             if count is not None:
                 turns = jnp.round((count.of(motions) - angle) / TURN)
                 residual = residual + radius * TURN * turns
@@ -119,9 +119,9 @@ def rolls_on_its_carriers_base(
 
 def markers(coupling: AbstractBodyCoupling, connections: dict[str, Connection]) -> tuple:
     """The two markers that mesh."""
-    own = [connections[name] for name in coupling.joints()]
-    if len(own) == 1:
-        return own[0].parent, own[0].child
+    entry = [connections[name] for name in coupling.joints()]
+    if len(entry) == 1:
+        return entry[0].parent, entry[0].child
     return tuple(part.marker for part in meshing_parts(coupling, connections))
 
 
@@ -140,7 +140,7 @@ def drawn_pose(
 MOVED, AS_FAR = 0.3, 1e-6
 
 
-def moves_apart(
+def is_distance_free(
     coupling: AbstractBodyCoupling, bodies: dict[str, Body], connections: dict[str, Connection]
 ) -> bool:
     """Whether two wheels come nearer or further as the other joints move: no body carries both.
@@ -148,13 +148,13 @@ def moves_apart(
     first, second = markers(coupling, connections)
     others = {n: c for n, c in connections.items() if n not in coupling.joints()}
     moved = {n: MOVED / (1 + i) for i, n in enumerate(others)}
-    found = []
+    result = []
     for shifts in ({}, moved):
         places = _drawn(bodies, connections, shifts)
         one, other = (places[marker.body].after(marker.pose()) for marker in (first, second))
         x, y, _ = one.inverse().after(other).translation
-        found.append(float(jnp.hypot(jnp.asarray(x, float), jnp.asarray(y, float))))
-    return abs(found[1] - found[0]) > AS_FAR * found[0]
+        result.append(float(jnp.hypot(jnp.asarray(x, float), jnp.asarray(y, float))))
+    return abs(result[1] - result[0]) > AS_FAR * result[0]
 
 
 def _drawn(
@@ -164,12 +164,12 @@ def _drawn(
 ) -> dict[str, Pose]:
     """Poses of the bodies in the ground where all joints are at home, each by the first way that
     leads there; some joints moved by `shifts`."""
-    places, left = {GROUND: REST}, dict(connections)
+    places, rest = {GROUND: REST}, dict(connections)
     while len(places) <= len(bodies):
         name = next(
-            n for n, c in left.items() if (c.parent.body in places) != (c.child.body in places)
+            n for n, c in rest.items() if (c.parent.body in places) != (c.child.body in places)
         )
-        connection = left.pop(name)
+        connection = rest.pop(name)
         parent, child = connection.parent, connection.child
         joint = coordinate_joint(name, bodies, connections)
         shift = shifts.get(name, 0.0) if isinstance(joint, AbstractVectorJoint) else 0.0
@@ -213,13 +213,13 @@ def _single(
 ) -> Count | None:
     """What counts the one angle of a coupling: how the second marker turns in the first, which is
     the child's in the parent's of one joint, or what stands still as a part turns beneath it."""
-    own = len(parts) == 1
-    if not own and parts[0].inner != parts[1].inner:
+    is_private = len(parts) == 1
+    if not is_private and parts[0].inner != parts[1].inner:
         return None
-    found = _count(coupling.joints()[0], parts[0], topology, bodies, connections)
-    if found is None:
+    result = _count(coupling.joints()[0], parts[0], topology, bodies, connections)
+    if result is None:
         return None
-    return eqx.tree_at(lambda count: count.sign, found, 1.0 if own else -found.sign)
+    return eqx.tree_at(lambda count: count.sign, result, 1.0 if is_private else -result.sign)
 
 
 def _depth(topology: Topology, body: str) -> int:

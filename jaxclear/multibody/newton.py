@@ -18,14 +18,14 @@ from jaxclear.ground import factorisation
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.factorisation import Change, least_change, of_rank
 from jaxclear.multibody.start_equations import (
-    GIVEN,
     JOURNAL,
     LOOP,
+    START,
     Ask,
     Block,
-    alike,
     position_blocks,
     retract,
+    scaled,
     speed_scales,
     stacked,
 )
@@ -47,13 +47,13 @@ class Near(NamedTuple):
     weight: Any
 
 
-def blocks_of(asked: Ask, q: Array, time: Any, kinds: tuple[str, ...] = (LOOP,)) -> list[Block]:
+def blocks_of(problem: Ask, q: Array, time: Any, kinds: tuple[str, ...] = (LOOP,)) -> list[Block]:
     """What is left to change in the coordinates for what is held of these kinds, in order."""
-    return [block for block in position_blocks(asked, q, time) if block.kind in kinds]
+    return [block for block in position_blocks(problem, q, time) if block.kind in kinds]
 
 
 def closed(
-    asked: Ask,
+    problem: Ask,
     q: Array,
     time: Any,
     count: int,
@@ -62,10 +62,10 @@ def closed(
 ) -> Array:
     """Coordinates after so many steps towards what is held of these kinds; `damped`: Levenberg's,
     which misses by least what cannot be met."""
-    if not blocks_of(asked, q, time, kinds):
+    if not blocks_of(problem, q, time, kinds):
         return q
     step = settled if damped else nearer
-    again = lambda q, _: (step(asked, q, blocks_of(asked, q, time, kinds)), None)
+    again = lambda q, _: (step(problem, q, blocks_of(problem, q, time, kinds)), None)
     return jax.lax.scan(again, q, length=count)[0]
 
 
@@ -77,65 +77,67 @@ def shortened(step: Array, scales: Array, longest: float = LONGEST_STEP) -> Arra
     return step * jax.lax.stop_gradient(longest / size)
 
 
-def nearer(asked: Ask, q: Array, blocks: list[Block], near: Near | None = None) -> Array:
+def nearer(problem: Ask, q: Array, blocks: list[Block], near: Near | None = None) -> Array:
     """Coordinates after one Gauss-Newton step that changes what is left of the blocks' equations to
     0, and in what these leave free lessens what is left of those that are `near`: the least such
     step, and `LONGEST_STEP` at most."""
-    step = -least(asked, blocks, near).change
-    return retract(asked.system, q, shortened(step, speed_scales(asked)))
+    step = -least(problem, blocks, near).change
+    return retract(problem.system, q, shortened(step, speed_scales(problem)))
 
 
-def settled(asked: Ask, q: Array, blocks: list[Block]) -> Array:
+def settled(problem: Ask, q: Array, blocks: list[Block]) -> Array:
     """Coordinates after one step that lessens what is left of equations some of which may follow
     from others, or contradict them."""
-    scales = speed_scales(asked)
-    step = scales * levenberg(*alike(asked, blocks))
-    return retract(asked.system, q, shortened(step, scales))
+    scales = speed_scales(problem)
+    step = scales * levenberg(*scaled(problem, blocks))
+    return retract(problem.system, q, shortened(step, scales))
 
 
-def levenberg(rows: Array, left: Array, least_damping: float = LEAST_DAMPING) -> Array:
-    """The step that lessens what is `left`, damped by its square, which closes in quadratically
+def levenberg(rows: Array, rest: Array, least_damping: float = LEAST_DAMPING) -> Array:
+    """The step that lessens what is `rest`, damped by its square, which closes in quadratically
     also where the rank of the rows falls (Yamashita & Fukushima 2001, Computing Suppl. 15, 239,
     doi:10.1007/978-3-7091-6217-0_18)."""
-    damping = DAMPING * jnp.sum(left * left) + least_damping
-    damped = rows @ rows.T + damping * jnp.eye(len(left))
+    damping = DAMPING * jnp.sum(rest * rest) + least_damping
+    damped = rows @ rows.T + damping * jnp.eye(len(rest))
     factors = factorisation.factor([list(row) for row in damped])
-    return -(rows.T @ sp.stack(factorisation.solve(factors, tuple(left))))
+    return -(rows.T @ sp.stack(factorisation.solve(factors, tuple(rest))))
 
 
-def least(asked: Ask, blocks: list[Block], near: Near | None = None) -> Change:
+def least(problem: Ask, blocks: list[Block], near: Near | None = None) -> Change:
     """The least change of the free speeds that meets the equations of the blocks, loops first, and
     then nearly those that are `near`."""
-    scales, redundancy = speed_scales(asked), asked.system.topology.redundancy
+    scales, redundancy = speed_scales(problem), problem.system.topology.redundancy
     loops = [block for block in blocks if block.kind == LOOP]
     rest = [block for block in blocks if block.kind != LOOP]
-    first = stacked(asked, loops)
+    first = stacked(problem, loops)
     if redundancy is not None and len(first[0]) > redundancy.rank:
         first = of_rank(*first, scales, redundancy.rank)
-    rows, left = (jnp.concatenate(parts) for parts in zip(first, stacked(asked, rest), strict=True))
+    rows, rhs = (
+        jnp.concatenate(parts) for parts in zip(first, stacked(problem, rest), strict=True)
+    )
     if near is None:
-        return least_change(rows, left, scales)
+        return least_change(rows, rhs, scales)
     # Each has an unknown of its own, by which it is missed: with the damping of Levenberg, the
     # least of all together is the least square of what is missed.
-    close, missed = (near.weight * part for part in alike(asked, near.blocks))
+    close, missed = (near.weight * part for part in scaled(problem, near.blocks))
     damping = jnp.sqrt(DAMPING * jnp.sum(missed * missed) + LEAST_DAMPING)
     count, free = len(missed), len(scales)
-    own = jnp.concatenate([jnp.zeros((len(left), count)), damping * jnp.eye(count)])
-    rows = jnp.concatenate([jnp.concatenate([rows, close / scales]), own], axis=1)
+    entry = jnp.concatenate([jnp.zeros((len(rhs), count)), damping * jnp.eye(count)])
+    rows = jnp.concatenate([jnp.concatenate([rows, close / scales]), entry], axis=1)
     sizes = jnp.concatenate([scales, jnp.ones(count)])
-    found = least_change(rows, jnp.concatenate([left, missed]), sizes)
-    return Change(found.change[:free], found.exact[: len(left)])
+    result = least_change(rows, jnp.concatenate([rhs, missed]), sizes)
+    return Change(result.change[:free], result.exact[: len(rhs)])
 
 
-def independent(asked: Ask, q: Array) -> dict[str, Bool[Array, ""]]:
+def independent(problem: Ask, q: Array) -> dict[str, Bool[Array, ""]]:
     """By name whether what `start` gives is left free by the loops, journals that are to be
     concentric, and what is given before."""
-    blocks = position_blocks(asked, q, 0.0)
-    given_last = [b for kinds in ((LOOP,), (JOURNAL,), (GIVEN,)) for b in blocks if b.kind in kinds]
-    told = [block for block in blocks if block.kind == GIVEN]
-    met = least(asked, given_last).exact
-    ends = len(met) - sum(len(b.left) for b in told) + np.cumsum([len(b.left) for b in told])
+    blocks = position_blocks(problem, q, 0.0)
+    start_last = [b for kinds in ((LOOP,), (JOURNAL,), (START,)) for b in blocks if b.kind in kinds]
+    report = [block for block in blocks if block.kind == START]
+    peaks = least(problem, start_last).exact
+    ends = len(peaks) - sum(len(b.left) for b in report) + np.cumsum([len(b.left) for b in report])
     return {
-        block.name: jnp.all(met[end - len(block.left) : end])
-        for block, end in zip(told, ends, strict=True)
+        block.name: jnp.all(peaks[end - len(block.left) : end])
+        for block, end in zip(report, ends, strict=True)
     }

@@ -69,7 +69,7 @@ def closing_rows(joint: AbstractJoint) -> tuple[str, ...]:
 
 
 # Ways in which a pose may depart from a motion, in the order of a twist.
-WAYS = ("x", "y", "z", "turn x", "turn y", "turn z")
+DIRECTIONS = ("x", "y", "z", "turn x", "turn y", "turn z")
 # Beside the largest: what is left of a way that says no more than others is rounding.
 NOTHING_NEW = 1e-9
 
@@ -88,24 +88,24 @@ def _chosen(form: Any, leaves: tuple) -> tuple[str, ...]:
             for i, x in enumerate(leaves)
         ],
     )
-    held = 6 - len(joint.columns(joint.home))
+    fixed = 6 - len(joint.columns(joint.home))
     home = joint.motion(tuple(jnp.asarray(x, float) for x in joint.home))
     pose = Pose(
         tuple(tuple(jnp.asarray(x, float) for x in row) for row in home.rotation),
         tuple(jnp.asarray(x, float) for x in home.translation),
     )
-    slopes = gradients(BeyondMotion(joint, WAYS), pose)[1]
+    slopes = gradients(BeyondMotion(joint, DIRECTIONS), pose)[1]
     matrix = np.array([[float(x) for part in s.wrench(pose) for x in part] for s in slopes])
     _, sizes, order = qr(matrix.T, pivoting=True)
     sizes = np.abs(np.diag(sizes))
     rank = int(np.sum(sizes > NOTHING_NEW * max(sizes[0], NOTHING_NEW)))
-    if not np.all(np.isfinite(matrix)) or rank != held:
+    if not np.all(np.isfinite(matrix)) or rank != fixed:
         raise ValueError(
             f"holds {rank} of the six freedoms of a body by its motion at home and leaves "
-            f"{6 - held} by its columns; the two must add to 6. See that coordinates_at is the "
+            f"{6 - fixed} by its columns; the two must add to 6. See that coordinates_at is the "
             "inverse of motion, or state the joint's rows."
         )
-    return tuple(sorted((WAYS[i] for i in order[:held]), key=WAYS.index))
+    return tuple(sorted((DIRECTIONS[i] for i in order[:fixed]), key=DIRECTIONS.index))
 
 
 def beyond(joint: AbstractJoint, pose: Pose) -> Pose:
@@ -133,10 +133,10 @@ def check_rows(name: str, joint: AbstractJoint) -> None:
             f'joint "{name}", a {kind}, states the row {unknown[0]!r}; rows are "x", "y", "z", or '
             'two axes such as "x.z". State none, and they follow from its motion.'
         )
-    held, free = len(joint.rows), len(joint.columns(joint.home))
-    if held + free != 6:
+    rows, free = len(joint.rows), len(joint.columns(joint.home))
+    if rows + free != 6:
         raise ValueError(
-            f'joint "{name}", a {kind}, holds {held} of the six freedoms of a body by its rows and '
+            f'joint "{name}", a {kind}, holds {rows} of the six freedoms of a body by its rows and '
             f"leaves {free} by its columns; the two must add to 6. State no rows, and they follow "
             "from its motion."
         )
@@ -163,7 +163,7 @@ class Gradient(NamedTuple):
     def wrench(self, pose: Pose) -> tuple[sp.Vec, sp.Vec]:
         """(force [N], torque [N m]) of a multiplier 1."""
         axes = sp.transpose(pose.rotation)
-        arms = [sp.cross(axis, own) for axis, own in zip(axes, self.columns, strict=True)]
+        arms = [sp.cross(axis, column) for axis, column in zip(axes, self.columns, strict=True)]
         return self.translation, sp.plus(*arms)
 
 
@@ -177,16 +177,16 @@ def gradients(reading: Any, pose: Pose) -> tuple[tuple, list[Gradient]]:
     values, pull = jax.vjp(read, *(entries[i] for i in free))
     moving = [i for i, structural in enumerate(kinds) if structural is None]
     depend = _dependence(read, [entries[i] for i in free])
-    found: list[Gradient] = [Gradient((sp.ZERO,) * 3, sp.ZERO) for _ in kinds]
+    result: list[Gradient] = [Gradient((sp.ZERO,) * 3, sp.ZERO) for _ in kinds]
     for k, i in enumerate(moving):
         slopes: list[Any] = [0] * len(entries)
         seed = tuple(jnp.full_like(x, float(j == k)) for j, x in enumerate(values))
         for j, (place, slope) in enumerate(zip(free, pull(seed), strict=True)):
             slopes[place] = slope if j in depend[k] else 0
         rows = [tuple(slopes[3 * r : 3 * r + 3]) for r in range(3)]
-        found[i] = Gradient(sp.transpose(tuple(rows)), tuple(slopes[9:]))
+        result[i] = Gradient(sp.transpose(tuple(rows)), tuple(slopes[9:]))
     plain = iter(values)
-    return tuple(next(plain) if kind is None else kind for kind in kinds), found
+    return tuple(next(plain) if kind is None else kind for kind in kinds), result
 
 
 def rate(gradient: Gradient, pose: Pose, velocity: sp.Vec, spin: sp.Vec) -> Any:
@@ -215,8 +215,8 @@ def accelerations(
     if moving:
         read, kinds = _restricted(reading, entries, moving)
         along = tuple(jnp.asarray(rates[i], float) for i in moving)
-        once = lambda *own: jax.jvp(read, own, along)[1]
-        twice = iter(jax.jvp(once, tuple(entries[i] for i in moving), along)[1])
+        single = lambda *part: jax.jvp(read, part, along)[1]
+        twice = iter(jax.jvp(single, tuple(entries[i] for i in moving), along)[1])
         bends = [next(twice) if kind is None else 0 for kind in kinds]
     out = []
     for slope, bend in zip(slopes, bends, strict=True):
@@ -234,14 +234,14 @@ def _restricted(reading: Any, entries: tuple, free: list[int]) -> tuple[Callable
     for each residual the structural number that it is, None for none)."""
     kinds: list[Any] = []
 
-    def read(*own):
-        whole = list(entries)
-        for i, x in zip(free, own, strict=True):
-            whole[i] = x
-        pose = Pose(tuple(tuple(whole[3 * r : 3 * r + 3]) for r in range(3)), tuple(whole[9:]))
-        found = reading.residuals(pose)
-        kinds[:] = [x if isinstance(x, int) else None for x in found]
-        return tuple(jnp.asarray(x, float) for x in found if not isinstance(x, int))
+    def read(*part):
+        total = list(entries)
+        for i, x in zip(free, part, strict=True):
+            total[i] = x
+        pose = Pose(tuple(tuple(total[3 * r : 3 * r + 3]) for r in range(3)), tuple(total[9:]))
+        result = reading.residuals(pose)
+        kinds[:] = [x if isinstance(x, int) else None for x in result]
+        return tuple(jnp.asarray(x, float) for x in result if not isinstance(x, int))
 
     jax.eval_shape(read, *(entries[i] for i in free))
     return read, kinds
@@ -258,6 +258,6 @@ def _dependence(read: Callable, values: list) -> list[set[int]]:
                 yield from on.get(atom, ())
 
     for equation in program.eqns:
-        found = set(of(equation.invars))
-        on |= dict.fromkeys(equation.outvars, found)
+        result = set(of(equation.invars))
+        on |= dict.fromkeys(equation.outvars, result)
     return [set(of([variable])) for variable in program.outvars]

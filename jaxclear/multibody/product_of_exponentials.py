@@ -49,8 +49,8 @@ def from_pose(pose: Pose) -> Transform:
 
 def inverse(pose: Transform) -> Transform:
     """T^-1: R^T and -R^T p."""
-    turned = pose[:3, :3].T
-    return transform(turned, -turned @ pose[:3, 3])
+    rotated = pose[:3, :3].T
+    return transform(rotated, -rotated @ pose[:3, 3])
 
 
 def exponentials(twists: Sequence[TwistVector]) -> list[Transform]:
@@ -79,7 +79,7 @@ def adjoint_of_inverse(pose: Transform, twist: TwistVector) -> TwistVector:
 
 # Which conditions an ideal joint may hold on the rotation, beside none: those of a revolute joint,
 # of one that does not turn, of a universal one.
-AXIS_HELD, AXES_HELD, ACROSS_HELD = {"x.z", "y.z"}, {"x.z", "y.z", "x.y"}, {"x.z"}
+AXIS_FIXED, AXES_FIXED, ACROSS_FIXED = {"x.z", "y.z"}, {"x.z", "y.z", "x.y"}, {"x.z"}
 
 
 class ChainJoint(eqx.Module):
@@ -122,13 +122,13 @@ class Chain(eqx.Module):
         """M_j: the marker met first of each joint, seen from the one left last before (first: from
         the base); then the tip.
         """
-        met, left = [], []
+        peaks, rest = [], []
         for joint in self.joints:
             ends = (joint.parent, joint.child) if joint.forward else (joint.child, joint.parent)
-            met.append(ends[0])
-            left.append(ends[1])
-        between = zip(left, [*met[1:], self.tip], strict=True)
-        return [met[0], *(inverse(before) @ after for before, after in between)]
+            peaks.append(ends[0])
+            rest.append(ends[1])
+        between = zip(rest, [*peaks[1:], self.tip], strict=True)
+        return [peaks[0], *(inverse(before) @ after for before, after in between)]
 
 
 def chain(mechanism: Mechanism, base: str, tip: Marker, through: tuple[str, ...] = ()) -> Chain:
@@ -139,25 +139,25 @@ def chain(mechanism: Mechanism, base: str, tip: Marker, through: tuple[str, ...]
     """
     tip = on_piece(mechanism.bodies, tip)
     _check(mechanism, base, tip, through)
-    ways = _ways(mechanism, base, tip.body, ())
-    found = list(islice((way for way in ways if {*through} <= {name for name, _ in way}), 2))
-    if not found:
+    paths = _paths(mechanism, base, tip.body, ())
+    result = list(islice((path for path in paths if {*through} <= {name for name, _ in path}), 2))
+    if not result:
         by = f" through {', '.join(map(repr, through))}" if through else ""
         raise ValueError(f'no chain of joints leads from "{base}" to "{tip.body}"{by}.')
-    if len(found) > 1:
-        first, second = (" - ".join(name for name, _ in way) for way in found)
+    if len(result) > 1:
+        first, second = (" - ".join(name for name, _ in path) for path in result)
         raise ValueError(
             f'the chain from "{base}" to "{tip.body}" must be serial, but it runs by {first} or by '
             f"{second}; name connections in `through` until one way is left."
         )
-    return Chain(tuple(_joint(mechanism, *entry) for entry in found[0]), from_pose(tip.pose()))
+    return Chain(tuple(_joint(mechanism, *entry) for entry in result[0]), from_pose(tip.pose()))
 
 
 def _check(mechanism: Mechanism, base: str, tip: Marker, through: tuple[str, ...]) -> None:
-    known = (GROUND, *mechanism.bodies)
+    values = (GROUND, *mechanism.bodies)
     for what, body in (("base", base), ("tip", tip.body)):
-        if not isinstance(body, str) or body not in known:
-            raise ValueError(unknown("body", body, known, f" for the {what}"))
+        if not isinstance(body, str) or body not in values:
+            raise ValueError(unknown("body", body, values, f" for the {what}"))
     if base == tip.body:
         raise ValueError(f'the tip is on the base "{base}" itself; no joint lies between them.')
     for name in through:
@@ -165,21 +165,21 @@ def _check(mechanism: Mechanism, base: str, tip: Marker, through: tuple[str, ...
             raise ValueError(unknown("joint to go through", name, mechanism.connections))
 
 
-def _ways(
-    mechanism: Mechanism, here: str, end: str, way: tuple
+def _paths(
+    mechanism: Mechanism, here: str, end: str, path: tuple
 ) -> Iterator[tuple[tuple[str, bool], ...]]:
     """Every way between two bodies that meets no body twice, as (connection, forward)."""
     if here == end:
-        yield way
+        yield path
         return
-    met = {here} | {body for name, _ in way for body in _ends(mechanism, name)}
+    peaks = {here} | {body for name, _ in path for body in _ends(mechanism, name)}
     for name in mechanism.connections:
         ends = _ends(mechanism, name)
         if here in ends:
             forward = ends[0] == here
             beyond = ends[forward]
-            if beyond not in met:
-                yield from _ways(mechanism, beyond, end, (*way, (name, forward)))
+            if beyond not in peaks:
+                yield from _paths(mechanism, beyond, end, (*path, (name, forward)))
 
 
 def _ends(mechanism: Mechanism, name: str) -> tuple[str, str]:
@@ -193,8 +193,8 @@ def _joint(mechanism: Mechanism, name: str, forward: bool) -> ChainJoint:
     permanent = isinstance(joint, AbstractPermanentJoint)
     ideal = isinstance(joint, AbstractJoint) and not permanent
     rows = closing_rows(joint) if ideal or permanent else joint.ideal_rows
-    held = {row for row in rows if len(row) > 1}
-    if not ideal and held not in (set(), AXIS_HELD, AXES_HELD, ACROSS_HELD):
+    fixed = {row for row in rows if len(row) > 1}
+    if not ideal and fixed not in (set(), AXIS_FIXED, AXES_FIXED, ACROSS_FIXED):
         raise ValueError(
             f'joint "{name}" becomes an ideal joint with the rows {", ".join(rows)}; of rotations, '
             "a chain knows joints that hold none, x.z, x.z "
@@ -252,10 +252,10 @@ def measured_configuration(chain: Chain, bodies: dict[str, Transform]) -> ChainC
         exact = joint.ideal or joint.permanent
         motions.append(relative if exact else nominal_motion(joint.rows, relative))
         away.extend([] if exact else [relative @ inverse(motions[-1])])
-    found = iter(logarithms(away))
+    result = iter(logarithms(away))
     return ChainConfiguration(
         tuple(motions),
-        tuple(None if joint.ideal or joint.permanent else next(found) for joint in chain.joints),
+        tuple(None if joint.ideal or joint.permanent else next(result) for joint in chain.joints),
     )
 
 
@@ -267,16 +267,16 @@ def nominal_motion(rows: tuple[str, ...], relative: Transform) -> Transform:
     from the given one: for a joint about z the angle atan2(R_yx - R_xy, R_xx + R_yy), whichever way
     the axis tilts.
     """
-    kept = jnp.array([row not in rows for row in "xyz"], float) * relative[:3, 3]
-    held = {row for row in rows if len(row) > 1}
+    saved = jnp.array([row not in rows for row in "xyz"], float) * relative[:3, 3]
+    fixed = {row for row in rows if len(row) > 1}
     rotation = relative[:3, :3]
-    if held == AXIS_HELD:
+    if fixed == AXIS_FIXED:
         angle = jnp.arctan2(rotation[1, 0] - rotation[0, 1], rotation[0, 0] + rotation[1, 1])
         cosine, sine = jnp.cos(angle), jnp.sin(angle)
         rotation = jnp.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
-    elif held == AXES_HELD:
+    elif fixed == AXES_FIXED:
         rotation = jnp.eye(3)
-    elif held == ACROSS_HELD:
+    elif fixed == ACROSS_FIXED:
         # The shortest turn that lays the child's z axis back into the plane across x.
         x, y, z = rotation[:, 2]
         across = safe_sqrt(y * y + z * z)
@@ -284,7 +284,7 @@ def nominal_motion(rows: tuple[str, ...], relative: Transform) -> Transform:
         none = jnp.zeros_like(x)
         turn = exponentials([lean * jnp.stack([none, none, none, none, -z, y])])[0]
         rotation = turn[:3, :3] @ rotation
-    return transform(rotation, kept)
+    return transform(rotation, saved)
 
 
 def forward_kinematics(chain: Chain, configuration: ChainConfiguration) -> Transform:
@@ -299,17 +299,17 @@ def forward_kinematics(chain: Chain, configuration: ChainConfiguration) -> Trans
     return pose
 
 
-def tips_seen_by_joints(
+def tips_from_joints(
     chain: Chain, configuration: ChainConfiguration
 ) -> list[tuple[Transform, Transform]]:
     """The nominal tip as the parent's and the child's marker of each joint see it."""
-    ahead, seen = jnp.eye(4), []
+    ahead, view = jnp.eye(4), []
     parts = zip(chain.joints, configuration.motions, chain.fixed_transforms()[1:], strict=True)
     for joint, motion, fixed in reversed(list(parts)):
         after = fixed @ ahead
         ahead = joint.onward(motion) @ after
-        seen.append((ahead, after) if joint.forward else (after, ahead))
-    return seen[::-1]
+        view.append((ahead, after) if joint.forward else (after, ahead))
+    return view[::-1]
 
 
 def _carried(chain: Chain, tips: list[Transform], twists: Any) -> tuple:
@@ -343,7 +343,7 @@ def tip_error(
     """
     start_chain = chain if nominal_chain is None else nominal_chain
     start = actual.ideal() if nominal is None else nominal
-    tips = tips_seen_by_joints(start_chain, start)
+    tips = tips_from_joints(start_chain, start)
     changes = [
         _change(now, then) for now, then in zip(actual.deviations, start.deviations, strict=True)
     ]

@@ -38,14 +38,14 @@ def rooms(system: System) -> Float[Array, " contacts"]:
     """The room on one side [m] that each possible contact leaves where its parts stand as drawn,
     unworn."""
     return sp.stack(
-        [abs(depth) for own in system.bearings.values() for depth in depths(own.joint, REST, {})]
+        [abs(depth) for part in system.bearings.values() for depth in depths(part.joint, REST, {})]
     )
 
 
 def narrowest_gap(system: System) -> Scalar:
     """Smallest of the `rooms` [m] that are gaps; infinite without clearance."""
-    own = rooms(system) if system.bearings else jnp.zeros(0)
-    return narrowest(own, longest_arm(system))
+    part = rooms(system) if system.bearings else jnp.zeros(0)
+    return narrowest(part, longest_arm(system))
 
 
 def narrowest(rooms: Float[Array, " contacts"], arm: Any) -> Scalar:
@@ -54,18 +54,18 @@ def narrowest(rooms: Float[Array, " contacts"], arm: Any) -> Scalar:
     return jnp.min(jnp.where(is_gap(rooms, arm), rooms, jnp.inf), initial=jnp.inf)
 
 
-def is_gap(room: Any, arm: Any) -> Any:
+def is_gap(space: Any, arm: Any) -> Any:
     """Whether parts with this room [m] between them do not touch as drawn."""
-    return room > TOUCHING * arm
+    return space > TOUCHING * arm
 
 
-def gaps_passed(system: System, way: Float[Array, " state"]) -> Scalar:
+def gaps_crossed(system: System, direction: Float[Array, " state"]) -> Scalar:
     """By how much places move at the most where a state moves so [1], beside the narrowest gap,
     beside the longest arm where there are none."""
     arm = longest_arm(system)
     arms = reaches(system, arm)
     gap = narrowest_gap(system) if system.bearings else arm
-    return jnp.max(arms * abs(way[: len(arms)]), initial=0.0) / gap
+    return jnp.max(arms * abs(direction[: len(arms)]), initial=0.0) / gap
 
 
 def shortest_part(system: System, closure: Closure) -> Scalar:
@@ -90,14 +90,14 @@ def shortest_part(system: System, closure: Closure) -> Scalar:
         places.append(place)
     across = sp.minus(*places)
     squares.append(sp.dot(across, across))
-    own, arm = jnp.asarray(sp.stack(squares), float), longest_arm(system)
-    shortest = jnp.min(jnp.where(own > (AT_ONE_PLACE * arm) ** 2, own, jnp.inf))
+    part, arm = jnp.asarray(sp.stack(squares), float), longest_arm(system)
+    shortest = jnp.min(jnp.where(part > (AT_ONE_PLACE * arm) ** 2, part, jnp.inf))
     return jnp.sqrt(jnp.minimum(shortest, arm * arm))
 
 
 def _up_to_ground(link: int | None, inboard: dict[int, int | None]) -> list[int | None]:
     """A link and those that carry it, the ground (None) last."""
-    found = [link]
-    while found[-1] is not None:
-        found.append(inboard[found[-1]])
-    return found
+    result = [link]
+    while result[-1] is not None:
+        result.append(inboard[result[-1]])
+    return result

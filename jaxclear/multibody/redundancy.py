@@ -81,7 +81,9 @@ def is_suspect(mechanism: Mechanism, start: Start) -> bool:
     start."""
     fixed = _counts_fixed(mechanism) and any(
         len(start.residuals[name]) > len(start.jacobians[name])
-        or (len(_held(mechanism, name)) > len(start.jacobians[name]) and _in_space(mechanism, name))
+        or (
+            len(_fixed(mechanism, name)) > len(start.jacobians[name]) and _in_space(mechanism, name)
+        )
         for name in mechanism.topology.loops
     )
     return fixed or depend(start)
@@ -89,7 +91,7 @@ def is_suspect(mechanism: Mechanism, start: Start) -> bool:
 
 def depend(start: Start) -> bool:
     """Whether rows that motion changes follow from others at the start."""
-    jacobian = np.concatenate([np.asarray(own) for own in start.jacobians.values()])
+    jacobian = np.concatenate([np.asarray(part) for part in start.jacobians.values()])
     return rank_of(jacobian) < len(jacobian)
 
 
@@ -100,7 +102,7 @@ def _counts_fixed(mechanism: Mechanism) -> bool:
     return not any(isinstance(joint, AbstractRubbingJoint) for joint in joints)
 
 
-def _held(mechanism: Mechanism, loop: str) -> tuple[str, ...]:
+def _fixed(mechanism: Mechanism, loop: str) -> tuple[str, ...]:
     """The rows that close a loop; of a coupling the one that it has."""
     if loop in mechanism.couplings:
         return ("",)
@@ -134,17 +136,17 @@ def redundancy(mechanism: Mechanism, start: Start, time: Any) -> Redundancy | No
     if depend(start):
         place = _most_of_rank(mechanism, rows, start, time)
         rank, joints = place.rank, _undetermined(mechanism, rows, place)
-        new = says_new(np.asarray(place.jacobian))
-        follow = [row for row, says in zip(moving, new, strict=True) if not says]
+        new = is_new(np.asarray(place.jacobian))
+        follow = [row for row, names in zip(moving, new, strict=True) if not names]
     called = lambda row: "" if row.joint in mechanism.couplings else row.name
     extra = tuple((row.joint, called(row)) for row in rows if row.fixed or row in follow)
     return Redundancy(rank, bool(follow), extra, joints) if extra else None
 
 
-def searched(known: Redundancy | None, start: Start) -> Redundancy:
+def searched(redundancy: Redundancy | None, start: Start) -> Redundancy:
     """The same of loops that are closed by a damped search only."""
-    rank = sum(len(own) for own in start.jacobians.values())
-    return dataclasses.replace(known or Redundancy(rank, False), far=True)
+    rank = sum(len(jacobian) for jacobian in start.jacobians.values())
+    return dataclasses.replace(redundancy or Redundancy(rank, False), far=True)
 
 
 def _most_of_rank(mechanism: Mechanism, rows: tuple[Row, ...], start: Start, time: Any) -> Place:
@@ -157,11 +159,11 @@ def _most_of_rank(mechanism: Mechanism, rows: tuple[Row, ...], start: Start, tim
     times = (LATER if mechanism.driven else LATER[:1]) if len(scales) else ()
     for later in times:
         for _ in range(DIRECTIONS if len(free) else 1):
-            way = random.normal(size=len(free)) @ free
-            step = MOVED * way / max(np.linalg.norm(way), 1e-300) * scales
-            q, left = _moved(mechanism, start.coordinates, jnp.asarray(step), time + later)
-            apart = np.max(np.abs(np.asarray(q - start.coordinates)), initial=0.0)
-            if float(left) <= CLOSED * max(arm, 1.0) and apart <= NEAR * max(arm, 1.0):
+            direction = random.normal(size=len(free)) @ free
+            step = MOVED * direction / max(np.linalg.norm(direction), 1e-300) * scales
+            q, rest = _moved(mechanism, start.coordinates, jnp.asarray(step), time + later)
+            far = np.max(np.abs(np.asarray(q - start.coordinates)), initial=0.0)
+            if float(rest) <= CLOSED * max(arm, 1.0) and far <= NEAR * max(arm, 1.0):
                 place = _place(mechanism, rows, q, time + later)
                 best = place if place.rank > best.rank else best
     return best
@@ -170,12 +172,12 @@ def _most_of_rank(mechanism: Mechanism, rows: tuple[Row, ...], start: Start, tim
 @compiled_quickly
 def _moved(mechanism: Mechanism, q: Array, step: Array, time: Any) -> tuple[Array, Array]:
     """Coordinates moved by a step, the loops closed anew, and what is left of these [m, 1]."""
-    asked = ask(mechanism, False)
+    problem = ask(mechanism, False)
 
     def close():
-        there = closed(asked, retract(asked.system, q, step), time, ITERATIONS, damped=True)
-        left = stacked(asked, blocks_of(asked, there, time))[1]
-        return there, jnp.max(jnp.abs(left), initial=0.0)
+        there = closed(problem, retract(problem.system, q, step), time, ITERATIONS, damped=True)
+        rest = stacked(problem, blocks_of(problem, there, time))[1]
+        return there, jnp.max(jnp.abs(rest), initial=0.0)
 
     return compiled_sooner(close)
 
@@ -183,26 +185,26 @@ def _moved(mechanism: Mechanism, q: Array, step: Array, time: Any) -> tuple[Arra
 @compiled_quickly
 def _place(mechanism: Mechanism, rows: tuple[Row, ...], q: Array, time: Any) -> Place:
     """Which rows of loops depend on each other at these coordinates."""
-    asked = ask(mechanism, False)
-    system = asked.system
+    problem = ask(mechanism, False)
+    system = problem.system
 
     def through(motions, forces):
-        own: tuple[dict[int, Any], ...] = tuple({} for _ in system.closures)
+        part: tuple[dict[int, Any], ...] = tuple({} for _ in system.closures)
         for row, force in zip(rows, forces, strict=True):
-            own[row.closure][row.place] = force
-        closing, inboard = constraints.wrenches_of_rows(system, motions, own)
+            part[row.closure][row.place] = force
+        closing, inboard = constraints.wrenches_of_rows(system, motions, part)
         names = (*system.topology.loops, *(branch.name for branch in system.topology.branches))
         acting = zip(names, (*closing, *inboard), strict=True)
         return {name: sp.stack((*wrench.force, *wrench.torque)) for name, wrench in acting}
 
     def placed():
         # One row after the other: XLA compiles long functions of short arrays more slowly.
-        motions = _motions(asked, q, time)
-        jacobian = stacked(asked, blocks_of(asked, q, time))[0] * speed_scales(asked)
+        motions = _motions(problem, q, time)
+        jacobian = stacked(problem, blocks_of(problem, q, time))[0] * speed_scales(problem)
         return jacobian, jax.lax.map(functools.partial(through, motions), jnp.eye(len(rows)))
 
     jacobian, forces = compiled_sooner(placed)
-    return Place(jacobian, forces, asked.arm)
+    return Place(jacobian, forces, problem.arm)
 
 
 def rank_of(rows: np.ndarray) -> int:
@@ -211,14 +213,14 @@ def rank_of(rows: np.ndarray) -> int:
     largest = sizes.max(initial=0.0)
     if not rows.size:
         return 0
-    alike = rows[sizes[:, 0] > DEPENDENT * largest]
-    if not len(alike):
+    same = rows[sizes[:, 0] > DEPENDENT * largest]
+    if not len(same):
         return 0
-    alike = alike / np.linalg.norm(alike, axis=1, keepdims=True)
-    return int(np.linalg.matrix_rank(alike, tol=DEPENDENT))
+    same = same / np.linalg.norm(same, axis=1, keepdims=True)
+    return int(np.linalg.matrix_rank(same, tol=DEPENDENT))
 
 
-def says_new(jacobian: np.ndarray) -> Iterator[bool]:
+def is_new(jacobian: np.ndarray) -> Iterator[bool]:
     """For each row whether it says what those before it do not."""
     ranks = [rank_of(jacobian[: i + 1]) for i in range(len(jacobian))]
     return (rank > before for rank, before in zip(ranks, [0, *ranks], strict=False))
@@ -227,24 +229,24 @@ def says_new(jacobian: np.ndarray) -> Iterator[bool]:
 def _rows(mechanism: Mechanism, q: Array, time: Any) -> tuple[Row, ...]:
     """The rows of all loops, those that no motion changes included where they say something or may
     be loaded."""
-    asked, counts_fixed, rows = ask(mechanism, False), _counts_fixed(mechanism), []
-    system, motions = asked.system, _motions(asked, q, time)
+    problem, counts_fixed, rows = ask(mechanism, False), _counts_fixed(mechanism), []
+    system, motions = problem.system, _motions(problem, q, time)
     loops = zip(system.topology.loops, system.closures, strict=True)
     for k, (joint, closure) in enumerate(loops):
-        ways = [kinematics.ancestry(system, x) for x in (closure.parent_link, closure.child_link)]
-        around = [system.topology.branches[i].name for i in {*ways[0]} ^ {*ways[1]}]
-        found = constraints.constraint_rows(system, motions, closure)
-        held = range(len(closure.rows)) if _in_space(mechanism, joint) else found.fixed
-        counted = sorted({*found.kept, *(held if counts_fixed else ())})
+        steps = [kinematics.ancestry(system, x) for x in (closure.parent_link, closure.child_link)]
+        around = [system.topology.branches[i].name for i in {*steps[0]} ^ {*steps[1]}]
+        result = constraints.constraint_rows(system, motions, closure)
+        fixed = range(len(closure.rows)) if _in_space(mechanism, joint) else result.fixed
+        counted = sorted({*result.kept, *(fixed if counts_fixed else ())})
         rows += [
-            Row(joint, closure.rows[i], i, k, i not in found.kept, (joint, *around))
+            Row(joint, closure.rows[i], i, k, i not in result.kept, (joint, *around))
             for i in counted
         ]
     return tuple(rows)
 
 
-def _motions(asked: Ask, q: Array, time: Any) -> tuple:
-    return motions_at(asked, q, jnp.zeros(asked.system.topology.speed_count), time)[2]
+def _motions(problem: Ask, q: Array, time: Any) -> tuple:
+    return motions_at(problem, q, jnp.zeros(problem.system.topology.speed_count), time)[2]
 
 
 def _undetermined(mechanism: Mechanism, rows: tuple[Row, ...], place: Place) -> tuple[str, ...]:
@@ -252,14 +254,15 @@ def _undetermined(mechanism: Mechanism, rows: tuple[Row, ...], place: Place) -> 
     of more than rounding, beside forces and torques on the longest arm of about 1."""
     jacobian = np.zeros((len(rows), place.jacobian.shape[1]))
     jacobian[[not row.fixed for row in rows]] = place.jacobian
-    ways = np.linalg.svd(jacobian.T)[2][place.rank :]
+    directions = np.linalg.svd(jacobian.T)[2][place.rank :]
     least = DEPENDENT * min(1.0, float(place.arm))
     largest = {
-        n: np.abs(ways @ np.asarray(own)).max(initial=0.0) for n, own in place.through.items()
+        n: np.abs(directions @ np.asarray(part)).max(initial=0.0)
+        for n, part in place.through.items()
     }
-    for row, own in zip(rows, ways.T, strict=True):
+    for row, part in zip(rows, directions.T, strict=True):
         # The row of a coupling is what it transmits; on coordinates it acts through no joint.
         if row.joint in mechanism.couplings:
-            largest[row.joint] = np.abs(own).max(initial=0.0)
-    known = (*mechanism.connections, *mechanism.couplings)
-    return tuple(name for name in known if largest.get(name, 0.0) > least)
+            largest[row.joint] = np.abs(part).max(initial=0.0)
+    values = (*mechanism.connections, *mechanism.couplings)
+    return tuple(name for name in values if largest.get(name, 0.0) > least)

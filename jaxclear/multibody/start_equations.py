@@ -29,7 +29,7 @@ from jaxclear.multibody.state import unpack_motion
 from jaxclear.multibody.system import System, longest_arm, motor_ends, prepare
 from jaxclear.multibody.tree import Motion
 
-LOOP, GIVEN, JOURNAL, GUESS, STRAIGHT = "loop", "given", "journal", "guess", "straight"
+LOOP, START, JOURNAL, GUESS, STRAIGHT = "loop", "given", "journal", "guess", "straight"
 
 
 @with_text_repr
@@ -58,19 +58,19 @@ class Start(NamedTuple):
         many = f"A start of {len(self.coordinates)} coordinates and {len(self.speeds)} speeds"
         if is_traced(self):
             return f"{many}, traced."
-        left = {
+        rest = {
             "loops are open by {} [m, 1]": self.residuals,
             "their rates are {} [m/s, 1/s]": self.rates,
             "given coordinates are missed by {} [rad, longest arms]": self.missed,
             "given speeds by {} [the same in 1 s]": self.missed_speeds,
             "guesses are {} away [rad, longest arms]": self.away,
         }
-        told = [words.format(f"{_largest(own):.2g}") for words, own in left.items() if own]
-        return f"{many}; at the most {', '.join(told)}." if told else f"{many}."
+        report = [words.format(f"{_largest(part):.2g}") for words, part in rest.items() if part]
+        return f"{many}; at the most {', '.join(report)}." if report else f"{many}."
 
 
 def _largest(parts: dict[str, Array]) -> float:
-    return max(float(np.max(np.abs(own), initial=0.0)) for own in parts.values())
+    return max(float(np.max(np.abs(part), initial=0.0)) for part in parts.values())
 
 
 class Ask(NamedTuple):
@@ -119,41 +119,41 @@ def guess(mechanism: Mechanism, system: System | None = None) -> tuple[Array, Ar
     }
     for branch, link in zip(system.topology.branches, system.links, strict=True):
         if branch.coordinate_count:
-            known, fast = rough.get(branch.name), speeds.get(branch.name)
+            values, fast = rough.get(branch.name), speeds.get(branch.name)
             joint, end = ends.get(branch.name, (None, None))
-            if known is None and joint in rough:
+            if values is None and joint in rough:
                 (place,) = rough[joint]
-                known = (end.ratio * place + (0 if end.offset is None else end.offset),)
+                values = (end.ratio * place + (0 if end.offset is None else end.offset),)
             if fast is None and joint in speeds:
                 fast = (end.ratio * speeds[joint][0],)
-            own = link.joint.home if known is None else link.joint.start(known)
+            part = link.joint.home if values is None else link.joint.start(values)
             fast = (0.0,) * branch.speed_count if fast is None else fast
-            own, fast = at_start(branch, link.joint, own, fast)
-            q.extend(own)
+            part, fast = at_start(branch, link.joint, part, fast)
+            q.extend(part)
             v.extend(fast)
     return turned(mechanism, system, sp.stack(q), sp.stack(v), 0.0)
 
 
 def retract(system: System, q: Array, step: Array) -> Array:
     """Coordinates moved along speeds for unit time, quaternions renormalised."""
-    own_q, own_step = unpack_motion(system, [*unstacked(q), *unstacked(step)])
-    each = zip(system.links, own_q, own_step, strict=True)
+    branch_q, branch_step = unpack_motion(system, [*unstacked(q), *unstacked(step)])
+    each = zip(system.links, branch_q, branch_step, strict=True)
     moved = map_many(
         lambda joint, q, step: tuple(joint.retracted(q, step)),
         [(link.joint, coordinates, move) for link, coordinates, move in each if coordinates],
     )
-    return sp.stack([x for own in moved for x in own])
+    return sp.stack([x for part in moved for x in part])
 
 
-def motions_at(asked: Ask, q: Array, v: Array, time: Any) -> tuple[tuple, tuple, tuple]:
+def motions_at(problem: Ask, q: Array, v: Array, time: Any) -> tuple[tuple, tuple, tuple]:
     """Coordinates and speeds by branch, and the motions of all links."""
-    own_q, own_v = unpack_motion(asked.system, [*unstacked(q), *unstacked(v)])
-    return own_q, own_v, kinematics.link_motions(asked.system, own_q, own_v, time)
+    branch_q, branch_v = unpack_motion(problem.system, [*unstacked(q), *unstacked(v)])
+    return branch_q, branch_v, kinematics.link_motions(problem.system, branch_q, branch_v, time)
 
 
-def speed_scales(asked: Ask) -> Float[Array, " v"]:
+def speed_scales(problem: Ask) -> Float[Array, " v"]:
     """For each free speed what counts as much as a radian a second."""
-    return given.speed_scales(asked.system, asked.arm)
+    return given.speed_scales(problem.system, problem.arm)
 
 
 class Place(NamedTuple):
@@ -163,73 +163,75 @@ class Place(NamedTuple):
     motions: tuple[Motion, ...]
 
 
-def place_at(asked: Ask, q: Array, time: Any) -> Place:
+def place_at(problem: Ask, q: Array, time: Any) -> Place:
     """The mechanism at rest at coordinates of the tree."""
-    own_q, _, motions = motions_at(asked, q, jnp.zeros(asked.system.topology.speed_count), time)
-    return Place(own_q, motions)
+    branch_q, _, motions = motions_at(
+        problem, q, jnp.zeros(problem.system.topology.speed_count), time
+    )
+    return Place(branch_q, motions)
 
 
-def position_blocks(asked: Ask, q: Array, time: Any) -> list[Block]:
+def position_blocks(problem: Ask, q: Array, time: Any) -> list[Block]:
     """What is left to change in the coordinates for all that is held, in order."""
-    return held_blocks(asked, place_at(asked, q, time))
+    return blocks_at(problem, place_at(problem, q, time))
 
 
-def held_blocks(asked: Ask, place: Place) -> list[Block]:
+def blocks_at(problem: Ask, place: Place) -> list[Block]:
     """The same at a place."""
     motions = place.motions
     return [
-        *(_closure_block(asked, motions, n, c, LOOP, False) for n, c in _loops(asked)),
-        *_coordinate_blocks(asked, place, GIVEN),
-        *_journal_blocks(asked, motions, False),
-        *_coordinate_blocks(asked, place, STRAIGHT),
+        *(_closure_block(problem, motions, n, c, LOOP, False) for n, c in _loops(problem)),
+        *_coordinate_blocks(problem, place, START),
+        *_journal_blocks(problem, motions, False),
+        *_coordinate_blocks(problem, place, STRAIGHT),
     ]
 
 
-def guess_blocks(asked: Ask, place: Place) -> list[Block]:
+def guess_blocks(problem: Ask, place: Place) -> list[Block]:
     """How far coordinates are from all that is guessed, angles by the shorter way."""
-    return _coordinate_blocks(asked, place, GUESS)
+    return _coordinate_blocks(problem, place, GUESS)
 
 
-def _straight(asked: Ask, *parts: str) -> dict[str, tuple]:
+def _straight(problem: Ask, *parts: str) -> dict[str, tuple]:
     """What hinges of beams are at of which nothing is given in these parts."""
-    hinges = parts_of_beams(asked.mechanism.loads) if asked.straight else ()
-    given_of = {name for part in parts for name in getattr(asked.mechanism, part)}
-    carried = {branch.name for branch in asked.system.topology.branches}
-    return {name: (0.0,) for name in hinges if name in carried - given_of}
+    hinges = parts_of_beams(problem.mechanism.loads) if problem.straight else ()
+    start_names = {name for part in parts for name in getattr(problem.mechanism, part)}
+    carried = {branch.name for branch in problem.system.topology.branches}
+    return {name: (0.0,) for name in hinges if name in carried - start_names}
 
 
-def _coordinate_blocks(asked: Ask, place: Place, kind: str) -> list[Block]:
+def _coordinate_blocks(problem: Ask, place: Place, kind: str) -> list[Block]:
     """Coordinates that are given, guessed, or straight."""
     blocks: list[Block] = []
     if kind == STRAIGHT:
-        told_of: Any = _straight(asked, "start", "guess").items()
+        reported_of: Any = _straight(problem, "start", "guess").items()
     else:
-        told_of = asked.mechanism.given["start" if kind == GIVEN else "guess"].items()
-    sources = [given.source(asked.mechanism, asked.system, name) for name, _ in told_of]
-    values_of = [values for _, values in told_of]
+        reported_of = problem.mechanism.given["start" if kind == START else "guess"].items()
+    sources = [given.source(problem.mechanism, problem.system, name) for name, _ in reported_of]
+    values_of = [values for _, values in reported_of]
     equations = given.coordinate_equations(
-        asked.system, place.motions, place.own, sources, values_of, kind == GUESS
+        problem.system, place.motions, place.own, sources, values_of, kind == GUESS
     )
-    for (name, values), where, found in zip(told_of, sources, equations, strict=True):
-        told = where.joint.told(values)
-        blocks.append(_given_block(asked, kind, name, where, found, told))
+    for (name, values), where, equation in zip(reported_of, sources, equations, strict=True):
+        report = where.joint.told(values)
+        blocks.append(_start_block(problem, kind, name, where, equation, report))
     return blocks
 
 
-def speed_blocks(asked: Ask, q: Array, v: Array, time: Any) -> list[Block]:
+def speed_blocks(problem: Ask, q: Array, v: Array, time: Any) -> list[Block]:
     """What is left to change in the speeds, in order."""
-    own_q, own_v, motions = motions_at(asked, q, v, time)
-    blocks = [_closure_block(asked, motions, n, c, LOOP, True) for n, c in _loops(asked)]
-    fast = asked.mechanism.given["speeds"]
-    still = _straight(asked, "speeds")
+    branch_q, branch_v, motions = motions_at(problem, q, v, time)
+    blocks = [_closure_block(problem, motions, n, c, LOOP, True) for n, c in _loops(problem)]
+    fast = problem.mechanism.given["speeds"]
+    still = _straight(problem, "speeds")
     later: list[Block] = []
     for name, values in (fast | still).items():
-        where = given.source(asked.mechanism, asked.system, name)
-        found = given.speed_equations(asked.system, motions, own_q, own_v, where, values)
-        told = (True,) * len(values)
-        kind, there = (GIVEN, blocks) if name in fast else (STRAIGHT, later)
-        there.append(_given_block(asked, kind, name, where, found, told))
-    return blocks + _journal_blocks(asked, motions, True) + later
+        where = given.source(problem.mechanism, problem.system, name)
+        result = given.speed_equations(problem.system, motions, branch_q, branch_v, where, values)
+        report = (True,) * len(values)
+        kind, there = (START, blocks) if name in fast else (STRAIGHT, later)
+        there.append(_start_block(problem, kind, name, where, result, report))
+    return blocks + _journal_blocks(problem, motions, True) + later
 
 
 def outside_tree(mechanism: Mechanism) -> bool:
@@ -243,42 +245,42 @@ def is_solved(mechanism: Mechanism, concentric: bool) -> bool:
     topology = mechanism.topology
     carried = {branch.name for branch in topology.branches}
     closed = not topology.loops and not (concentric and topology.clearances)
-    told = not outside_tree(mechanism) and {*mechanism.speeds} <= carried
-    return topology.speed_count == 0 or (closed and told)
+    report = not outside_tree(mechanism) and {*mechanism.speeds} <= carried
+    return topology.speed_count == 0 or (closed and report)
 
 
-def stacked(asked: Ask, blocks: list[Block]) -> tuple[Array, Array]:
+def stacked(problem: Ask, blocks: list[Block]) -> tuple[Array, Array]:
     """(Jacobian, what is left) of all blocks."""
-    none = jnp.zeros((0, asked.system.topology.speed_count))
+    none = jnp.zeros((0, problem.system.topology.speed_count))
     if len(blocks) >= LARGEST_UNROLLED:
         rows = [row for block in blocks for row in block.rows]
-        return _dense(asked, rows), jnp.concatenate([block.left for block in blocks])
+        return _dense(problem, rows), jnp.concatenate([block.left for block in blocks])
     return (
-        jnp.concatenate([none, *jacobians(asked, blocks)]),
+        jnp.concatenate([none, *jacobians(problem, blocks)]),
         jnp.concatenate([none.ravel(), *(block.left for block in blocks)]),
     )
 
 
-def jacobians(asked: Ask, blocks: list[Block]) -> list[Array]:
+def jacobians(problem: Ask, blocks: list[Block]) -> list[Array]:
     """The Jacobian of each block."""
     if len(blocks) < LARGEST_UNROLLED:
-        return [_dense(asked, block.rows) for block in blocks]
+        return [_dense(problem, block.rows) for block in blocks]
     ends = np.cumsum([len(block.rows) for block in blocks])
-    return jnp.split(stacked(asked, blocks)[0], ends[:-1])
+    return jnp.split(stacked(problem, blocks)[0], ends[:-1])
 
 
-def alike(asked: Ask, blocks: list[Block]) -> tuple[Array, Array]:
+def scaled(problem: Ask, blocks: list[Block]) -> tuple[Array, Array]:
     """The same by radians and longest arms, of speeds too."""
-    rows, left = stacked(asked, blocks)
+    rows, rest = stacked(problem, blocks)
     measure = jnp.concatenate([jnp.zeros(0), *(block.measure for block in blocks)])
-    return rows * speed_scales(asked) / measure[:, None], left / measure
+    return rows * speed_scales(problem) / measure[:, None], rest / measure
 
 
-def leaves_free(asked: Ask, blocks: list[Block]) -> bool:
+def leaves_free(problem: Ask, blocks: list[Block]) -> bool:
     """Whether equations are fewer than the free speeds; of loops only those count that are known to
     be independent."""
-    topology = asked.system.topology
-    counts = dict.fromkeys((LOOP, GIVEN, JOURNAL, STRAIGHT), 0)
+    topology = problem.system.topology
+    counts = dict.fromkeys((LOOP, START, JOURNAL, STRAIGHT), 0)
     for block in blocks:
         counts[block.kind] += len(block.left)
     if topology.redundancy is not None:
@@ -286,27 +288,27 @@ def leaves_free(asked: Ask, blocks: list[Block]) -> bool:
     return sum(counts.values()) < topology.speed_count
 
 
-def _loops(asked: Ask) -> list[tuple[str, Closure]]:
-    return list(zip(asked.system.topology.loops, asked.system.closures, strict=True))
+def _loops(problem: Ask) -> list[tuple[str, Closure]]:
+    return list(zip(problem.system.topology.loops, problem.system.closures, strict=True))
 
 
-def _journals(asked: Ask) -> list[tuple[str, Closure]]:
-    bearings = asked.system.bearings if asked.concentric else {}
+def _journals(problem: Ask) -> list[tuple[str, Closure]]:
+    bearings = problem.system.bearings if problem.concentric else {}
     return [(name, bearing.closure) for name, bearing in bearings.items()]
 
 
-def _journal_blocks(asked: Ask, motions: tuple[Motion, ...], rates: bool) -> list[Block]:
+def _journal_blocks(problem: Ask, motions: tuple[Motion, ...], rates: bool) -> list[Block]:
     """Journals that are to be concentric."""
-    journals = _journals(asked)
+    journals = _journals(problem)
     closures = [closure for _, closure in journals]
     relative = kinematics.relative_motions(closures, motions)
     turning = [
-        (_row_rates(c.rows), (), own.pose) for c, own in zip(closures, relative, strict=True)
+        (_row_rates(c.rows), (), part.pose) for c, part in zip(closures, relative, strict=True)
     ]
-    rows = kinematics.relative_jacobians(asked.system, motions, closures, turning)
+    rows = kinematics.relative_jacobians(problem.system, motions, closures, turning)
     return [
-        _closure_block(asked, motions, name, closure, JOURNAL, rates, *own)
-        for (name, closure), own in zip(journals, zip(relative, rows, strict=True), strict=True)
+        _closure_block(problem, motions, name, closure, JOURNAL, rates, *part)
+        for (name, closure), part in zip(journals, zip(relative, rows, strict=True), strict=True)
     ]
 
 
@@ -317,36 +319,38 @@ def _row_rates(rows: tuple[str, ...]) -> Callable:
 
 
 def _closure_block(
-    asked: Ask,
+    problem: Ask,
     motions: tuple[Motion, ...],
     name: str,
     closure: Closure,
     kind: str,
     rates: bool,
-    *known: Any,
+    *values: Any,
 ) -> Block:
-    """`known`: motion of the closure's markers, and its Jacobian, where many are asked for."""
-    found = constraints.constraint_rows(asked.system, motions, closure, *known)
+    """`values`: motion of the closure's markers, and its Jacobian, where many are asked for."""
+    result = constraints.constraint_rows(problem.system, motions, closure, *values)
     return Block(
         kind,
         name,
-        sp.stack(found.rates if rates else found.residuals),
-        sp.stack(constraints.measures(closure, found, asked.arm)),
-        sp.stack(() if rates else tuple(found.fixed.values())),
-        found.jacobian,
+        sp.stack(result.rates if rates else result.residuals),
+        sp.stack(constraints.measures(closure, result, problem.arm)),
+        sp.stack(() if rates else tuple(result.fixed.values())),
+        result.jacobian,
     )
 
 
-def _given_block(asked: Ask, kind: str, name: str, where: Any, found: Any, told: tuple) -> Block:
+def _start_block(
+    problem: Ask, kind: str, name: str, where: Any, result: Any, flags: tuple
+) -> Block:
     measure = [
-        x for x, known in zip(given.scales(where.joint, asked.arm), told, strict=True) if known
+        x for x, flag in zip(given.scales(where.joint, problem.arm), flags, strict=True) if flag
     ]
     return Block(
-        kind, name, sp.stack(found.missed), sp.stack(measure), jnp.zeros(0), found.jacobian
+        kind, name, sp.stack(result.missed), sp.stack(measure), jnp.zeros(0), result.jacobian
     )
 
 
-def _dense(asked: Ask, rows: list[kinematics.JacobianRow]) -> Float[Array, "rows v"]:
-    count = asked.system.topology.speed_count
+def _dense(problem: Ask, rows: list[kinematics.JacobianRow]) -> Float[Array, "rows v"]:
+    count = problem.system.topology.speed_count
     entries = {(i, j): x for i, row in enumerate(rows) for j, x in row.items()}
     return factorisation.placed(entries, (len(rows), count))

@@ -150,18 +150,18 @@ def lay_out(
         memories.append((name, tuple(kinds)))
         position += sum(remembers + bristles for remembers, bristles in kinds)
         samples[name] = (bearing, offset, axes, overlaps)
-    angles = tuple(name for name, own in system.measured.items() if own.followed)
+    angles = tuple(name for name, part in system.measured.items() if part.followed)
     states = tuple(
         (name, state.name) for name, load in coordinate_loads(system) for state in load.states()
     )
-    states += tuple((name, x) for name, own in system.transmissions.items() for x in own.states())
-    plays = tuple(name for name, own in system.transmissions.items() if own.coupling.play)
+    states += tuple((name, x) for name, part in system.transmissions.items() for x in part.states())
+    plays = tuple(name for name, part in system.transmissions.items() if part.coupling.play)
     position += len(angles) + len(states)
     for name, surface, k, features in _wearing(system, samples):
         constants = {i: f for i, f in enumerate(features) if isinstance(f, (int, float))}
         averaged = tuple(i for i in range(len(features)) if i not in constants)
-        known = tuple((i, float(f)) for i, f in constants.items())
-        wear.append(WearSlot(name, surface, k, position, averaged, known))
+        values = tuple((i, float(f)) for i, f in constants.items())
+        wear.append(WearSlot(name, surface, k, position, averaged, values))
         position += 1 + len(averaged)
     energies = ENERGIES if balance else ()
     size = position + sum(count for _, count in impulses) + len(energies)
@@ -182,23 +182,23 @@ def lay_out(
 def _wearing(system: System, samples: dict[str, tuple]) -> list[tuple]:
     """(joint, surface, contact, location) of every contact whose wear is mapped, the joints with
     clearance as `samples` show them."""
-    found = []
+    result = []
     for name, (bearing, offset, axes, overlaps) in samples.items():
         for surface in bearing.joint.maps():
             for k, laws in enumerate(bearing.contact_laws):
                 if laws.wears:
                     place = bearing.joint.features(surface, offset, axes, overlaps, k)
-                    found.append((name, surface, k, place))
+                    result.append((name, surface, k, place))
     for name, rubbing in rubbing_joints(system).items():
         offset, axes = tuple(map(jnp.asarray, PROBE)), _home_axes(rubbing.gap_axes)
         for surface in rubbing.maps():
-            found += [
+            result += [
                 (name, surface, k, rubbing.wear_place(surface, offset, axes, k, jnp.zeros(())))
                 for k in rubbing.wearing_contacts()
             ]
     for name, play in flanks_that_wear(system).items():
-        found += [(name, flank, k, (0.0,)) for k, flank in enumerate(play.maps())]
-    return found
+        result += [(name, flank, k, (0.0,)) for k, flank in enumerate(play.maps())]
+    return result
 
 
 def probe(system: System, bearing: Bearing) -> tuple:
@@ -308,20 +308,20 @@ def unpack_followed(layout: Layout, entries: Any, shares: Any = None) -> Followe
     states: dict[str, tuple] = {}
     for i, (owner, _) in enumerate(layout.states):
         states[owner] = (*states.get(owner, ()), entries[layout.state_start + i])
-    told = {}
+    report = {}
     if shares is not None:
-        told = {n: (shares[2 * i], shares[2 * i + 1]) for i, n in enumerate(layout.plays)}
-    return Followed(angles, states, told)
+        report = {n: (shares[2 * i], shares[2 * i + 1]) for i, n in enumerate(layout.plays)}
+    return Followed(angles, states, report)
 
 
 def bounds(system: System, layout: Layout) -> dict[int, Any]:
     """The size at which states stand still, by their place in the state, of those that have one:
     deflections of friction that holds."""
     most: list[Any] = [x.most for _, load in coordinate_loads(system) for x in load.states()]
-    for own in system.transmissions.values():
-        held = own.coupling.thread if own.driving is None else own.driving.loses
-        yields = None if held is None else held.presliding
-        most += [yields if name == SLIP else None for name in own.states()]
+    for part in system.transmissions.values():
+        fixed = part.coupling.thread if part.driving is None else part.driving.loses
+        yields = None if fixed is None else fixed.presliding
+        most += [yields if name == SLIP else None for name in part.states()]
     return {layout.state_start + i: each for i, each in enumerate(most) if each is not None}
 
 

@@ -32,7 +32,7 @@ from jaxclear.ground import sparse as sp
 from jaxclear.ground.compiling import map_many
 from jaxclear.ground.pose import REST, Pose
 from jaxclear.multibody.contact_point import fitted_laws
-from jaxclear.multibody.loops import TURN, WAY, Closure, CoordinateSum, SummedCoordinate
+from jaxclear.multibody.loops import LENGTH, TURN, Closure, CoordinateSum, SummedCoordinate
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.meshes import drawn_pose, markers, mesh, meshing_parts
 from jaxclear.multibody.pose_rows import CoordinateOf, closing_rows, reading_of
@@ -147,7 +147,7 @@ class System(eqx.Module):
     flanks: dict[str, Transmission] = eqx.field(default_factory=dict)
 
 
-def _turned(pose: Pose, turn: sp.Mat) -> Pose:
+def _rotated(pose: Pose, turn: sp.Mat) -> Pose:
     return Pose(sp.product(pose.rotation, turn), pose.translation)
 
 
@@ -178,8 +178,8 @@ def prepare(mechanism: Mechanism, shifts: dict[str, Pose] | None = None) -> Syst
     joints = [mechanism.connections[name].joint for name in topology.clearances]
     laws = map_many(fitted_laws, [(joint,) for joint in joints])
     bearings = {}
-    for name, joint, own in zip(topology.clearances, joints, laws, strict=True):
-        bearings[name] = Bearing(closure(name, joint.ideal_rows), joint, own)
+    for name, joint, law in zip(topology.clearances, joints, laws, strict=True):
+        bearings[name] = Bearing(closure(name, joint.ideal_rows), joint, law)
     loads, load_markers, load_closures, gravity = {}, {}, {}, sp.ZERO
     for name, load in acting_in(mechanism).items():
         if isinstance(load, Gravity):
@@ -199,12 +199,12 @@ def prepare(mechanism: Mechanism, shifts: dict[str, Pose] | None = None) -> Syst
     transmissions = {}
     for name, coupling in mechanism.couplings.items():
         if coupling.gives:
-            own = _row(mechanism, name, places, frames)
+            law = _row(mechanism, name, places, frames)
             scale = scale_of(mechanism, coupling)
-            _check_error(name, coupling, own)
+            _check_error(name, coupling, law)
             end = _driving_end(mechanism, name, scale)
             slides = sliding_along(name, coupling)
-            transmissions[name] = Transmission(own, scale, coupling, end, slides)
+            transmissions[name] = Transmission(law, scale, coupling, end, slides)
     measured = _measured(mechanism, places)
     loaded = (loads, measured, load_markers, gravity)
     behind = (load_closures, transmissions, geared_motors(mechanism))
@@ -212,13 +212,13 @@ def prepare(mechanism: Mechanism, shifts: dict[str, Pose] | None = None) -> Syst
     return dataclasses.replace(system, arm=longest_arm(system)) if topology.depend else system
 
 
-def _check_error(name: str, coupling: Any, own: Closure) -> None:
+def _check_error(name: str, coupling: Any, part: Closure) -> None:
     """Raises `ValueError` for a transmission error of a joint whose turn nobody counts."""
-    summed = isinstance(own.reading, CoordinateSum)
-    if summed and coupling.transmission_error is not None and own.reading.terms[0].link is None:
+    summed = isinstance(part.reading, CoordinateSum)
+    if summed and coupling.transmission_error is not None and part.reading.terms[0].link is None:
         raise ValueError(
             f'coupling "{name}" has a transmission_error, a function of the turn of joint '
-            f'"{own.reading.terms[0].joint}", which closes a loop or has clearance; only a joint '
+            f'"{part.reading.terms[0].joint}", which closes a loop or has clearance; only a joint '
             "that the tree carries can have one behind a coupling.Motor."
         )
 
@@ -226,13 +226,13 @@ def _check_error(name: str, coupling: Any, own: Closure) -> None:
 def acting_in(mechanism: Mechanism) -> dict[str, Any]:
     """Loads and the couplings that are forces between coordinates, by name; each knows the motors
     behind its joints."""
-    ends, found = motor_ends(mechanism), {}
+    ends, result = motor_ends(mechanism), {}
     for name, load in mechanism.loads.items():
         if isinstance(load, AbstractStateLoad):
             load = load.of_bodies(mechanism.bodies).behind(ends)
-        found[name] = load
-    own = mechanism.couplings.items()
-    return found | {n: c for n, c in own if isinstance(c, AbstractForceCoupling)}
+        result[name] = load
+    part = mechanism.couplings.items()
+    return result | {n: c for n, c in part if isinstance(c, AbstractForceCoupling)}
 
 
 def motor_ends(mechanism: Mechanism) -> dict[str, MotorEnd]:
@@ -250,9 +250,9 @@ def _motor_end(mechanism: Mechanism, name: str) -> MotorEnd:
     """The motor of a coupling as its joint sees it."""
     motor, terms = motor_name(name), dict(_terms(mechanism, name))
     coupling: Any = mechanism.couplings[name]
-    own, total = terms.pop(motor), coupling.total()
+    part, total = terms.pop(motor), coupling.total()
     (factor,) = terms.values()
-    return MotorEnd(motor, -factor / own, None if total is None else total / own)
+    return MotorEnd(motor, -factor / part, None if total is None else total / part)
 
 
 def _row(mechanism: Mechanism, name: str, places: dict, frames: dict) -> Closure:
@@ -300,21 +300,21 @@ def sliding_along(name: str, coupling: Any) -> str | None:
 def _terms(mechanism: Mechanism, name: str) -> list[CoordinateTerm]:
     """The terms of a coupling, its motor by name."""
     coupling: Any = mechanism.couplings[name]
-    own = coupling.terms()
+    part = coupling.terms()
     called = lambda joint: joint if isinstance(joint, str) else motor_name(name)
-    return [CoordinateTerm(called(joint), factor) for joint, factor in own]
+    return [CoordinateTerm(called(joint), factor) for joint, factor in part]
 
 
 def geared_motors(mechanism: Mechanism) -> dict[str, Geared]:
     """The motors that turn with a joint, by name."""
-    found = {}
+    result = {}
     couplings: dict[str, Any] = dict(mechanism.couplings)
     for name, coupling in couplings.items():
         motor = motor_name(name)
         if motor in dict(mechanism.topology.geared):
             end = _motor_end(mechanism, name)
-            found[motor] = Geared(coupling.joints()[0], end.ratio, end.offset)
-    return found
+            result[motor] = Geared(coupling.joints()[0], end.ratio, end.offset)
+    return result
 
 
 def _meshing(mechanism: Mechanism, coupling: Any, frames: dict[str, Pose]) -> Closure:
@@ -324,24 +324,24 @@ def _meshing(mechanism: Mechanism, coupling: Any, frames: dict[str, Pose]) -> Cl
     parent, child = (frames[marker.body].after(marker.pose()) for marker in ends)
     first, second = (topology.index(marker.body) for marker in ends)
     reading = mesh(coupling, topology, mechanism.bodies, connections)
-    return Closure(parent, child, first, second, (WAY,), reading)
+    return Closure(parent, child, first, second, (LENGTH,), reading)
 
 
 def _summed(mechanism: Mechanism, name: str, places: dict[str, Closure]) -> Closure:
     """The row of a coupling of coordinates; `places`: closures of the joints outside the tree."""
-    topology, found = mechanism.topology, _terms(mechanism, name)
+    topology, result = mechanism.topology, _terms(mechanism, name)
     coupling: Any = mechanism.couplings[name]
-    joints = {n: coordinate_joint(n, mechanism.bodies, mechanism.connections) for n, _ in found}
+    joints = {n: coordinate_joint(n, mechanism.bodies, mechanism.connections) for n, _ in result}
     links = {branch.connection: i for i, branch in enumerate(topology.branches)}
     terms = []
-    for joint, factor in found:
-        own, closure = joints[joint], places.get(joint)
-        turn = closure is not None and own.units == ("rad",)
+    for joint, factor in result:
+        part, closure = joints[joint], places.get(joint)
+        turn = closure is not None and part.units == ("rad",)
         terms.append(
-            SummedCoordinate(joint, factor, CoordinateOf(own), closure, links.get(joint), turn)
+            SummedCoordinate(joint, factor, CoordinateOf(part), closure, links.get(joint), turn)
         )
-    first = joints[found[0].joint]
-    row = WAY if first.units == ("m",) else TURN
+    first = joints[result[0].joint]
+    row = LENGTH if first.units == ("m",) else TURN
     summed = CoordinateSum(tuple(terms), coupling.total())
     return Closure(REST, REST, None, None, (row,), summed)
 
@@ -351,14 +351,14 @@ def _measured(mechanism: Mechanism, places: dict[str, Closure]) -> dict[str, Clo
     acting = [x for x in acting_in(mechanism).values() if isinstance(x, AbstractStateLoad)]
     lossy = {c.joints()[0] for c in mechanism.couplings.values() if c.efficiency is not None}
     lossy |= {sliding_along(name, c) or "" for name, c in mechanism.couplings.items()}
-    found = {}
+    result = {}
     for name, closure in places.items():
-        own = [load for load in acting if name in load.coordinates()]
-        if own or name in lossy:
+        part = [load for load in acting if name in load.coordinates()]
+        if part or name in lossy:
             joint = coordinate_joint(name, mechanism.bodies, mechanism.connections)
-            followed = joint.units == ("rad",) and any(load.reads_position() for load in own)
-            found[name] = ClosureCoordinate(joint, closure, followed)
-    return found
+            followed = joint.units == ("rad",) and any(load.reads_position() for load in part)
+            result[name] = ClosureCoordinate(joint, closure, followed)
+    return result
 
 
 def _link(
@@ -381,7 +381,7 @@ def _link(
         if branch.connection in shifts:
             base = base.after(shifts[branch.connection])
         if branch.reversed:
-            base, outer = _turned(outer, joint.reversal), _turned(base, joint.reversal)
+            base, outer = _rotated(outer, joint.reversal), _rotated(base, joint.reversal)
     parent = topology.index(branch.parent)
     if parent is not None:
         base = links[parent].frame.after(base)
@@ -414,21 +414,21 @@ def _rotor(mechanism: Mechanism, connection: str | None) -> Any:
     None for none."""
     acting = [x for x in mechanism.loads.values() if isinstance(x, AbstractStateLoad)]
     turning = {connection: None} | {
-        motor: own.ratio
-        for motor, own in geared_motors(mechanism).items()
-        if own.joint == connection
+        motor: part.ratio
+        for motor, part in geared_motors(mechanism).items()
+        if part.joint == connection
     }
-    own = []
+    part = []
     for name, ratio in turning.items():
-        found = [load.inertia_along() for load in acting if name in load.coordinates()]
-        found += [
+        result = [load.inertia_along() for load in acting if name in load.coordinates()]
+        result += [
             coupling.motor.inertia
-            for own_name, coupling in mechanism.couplings.items()
-            if coupling.motor is not None and motor_name(own_name) == name
+            for part_name, coupling in mechanism.couplings.items()
+            if coupling.motor is not None and motor_name(part_name) == name
         ]
-        known = [inertia for inertia in found if inertia is not None]
-        own += [x if ratio is None else ratio * ratio * x for x in known]
-    return sum(own) if own else None
+        values = [inertia for inertia in result if inertia is not None]
+        part += [x if ratio is None else ratio * ratio * x for x in values]
+    return sum(part) if part else None
 
 
 def coordinate_loads(system: System | Mechanism) -> list[tuple[str, AbstractStateLoad]]:
@@ -461,16 +461,16 @@ def wearing_in(mechanism: Mechanism) -> dict[str, Any]:
     """What has surfaces that wear: joints that may open, those that touch all the time, and plays
     of couplings, by name."""
     connections = mechanism.connections
-    found: dict[str, Any] = {n: connections[n].joint for n in mechanism.topology.clearances}
-    found |= rubbing_in(connections)
-    found |= {n: own.play for n, own in mechanism.couplings.items() if own.gives and own.play}
-    return {name: own for name, own in found.items() if own.maps()}
+    result: dict[str, Any] = {n: connections[n].joint for n in mechanism.topology.clearances}
+    result |= rubbing_in(connections)
+    result |= {n: part.play for n, part in mechanism.couplings.items() if part.gives and part.play}
+    return {name: part for name, part in result.items() if part.maps()}
 
 
 def flanks_that_wear(system: System) -> dict[str, Any]:
     """Plays whose flanks wear, by coupling."""
-    own = system.transmissions.items()
-    return {n: x.coupling.play for n, x in own if x.coupling.play and x.coupling.play.wear}
+    part = system.transmissions.items()
+    return {n: x.coupling.play for n, x in part if x.coupling.play and x.coupling.play.wear}
 
 
 def with_worn_flanks(system: System, worn: dict) -> System:

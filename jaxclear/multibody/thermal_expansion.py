@@ -45,18 +45,18 @@ def apply_thermal_expansion(mechanism: Mechanism, rise: Any, expansion: Any) -> 
     """
     expect(mechanism, Mechanism, "what expands", "a jaxclear.Mechanism")
     check_number("rise of apply_thermal_expansion", rise, "K")
-    known = [GROUND, *wholes(mechanism.bodies)]
+    values = [GROUND, *wholes(mechanism.bodies)]
     if isinstance(expansion, Mapping):
         for name, value in expansion.items():
-            check_name("body", name, known, " in this mechanism")
+            check_name("body", name, values, " in this mechanism")
             check_number(f'expansion of body "{name}"', value, "1/K")
-        own = expansion
+        part = expansion
     else:
         check_number("expansion of apply_thermal_expansion", expansion, "1/K")
-        own = dict.fromkeys(known, expansion)
+        part = dict.fromkeys(values, expansion)
     growth = {
-        name: 1 + own.get(beam_of(mechanism.bodies, name), 0.0) * rise for name in mechanism.bodies
-    } | {GROUND: 1 + own.get(GROUND, 0.0) * rise}
+        name: 1 + part.get(beam_of(mechanism.bodies, name), 0.0) * rise for name in mechanism.bodies
+    } | {GROUND: 1 + part.get(GROUND, 0.0) * rise}
 
     def grown_marker(thing):
         if not isinstance(thing, Marker) or thing.at is None:

@@ -87,10 +87,10 @@ class Redundancy:
 
 def listed_rows(rows: tuple[tuple[str, str], ...]) -> str:
     """Rows by joint, in words; a coupling is one row, without a name of its own."""
-    told = {joint: [own for name, own in rows if name == joint] for joint, _ in rows}
+    report = {joint: [part for name, part in rows if name == joint] for joint, _ in rows}
     return "; ".join(
-        f'{", ".join(own)} of joint "{name}"' if any(own) else f'coupling "{name}"'
-        for name, own in told.items()
+        f'{", ".join(part)} of joint "{name}"' if any(part) else f'coupling "{name}"'
+        for name, part in report.items()
     )
 
 
@@ -121,8 +121,8 @@ class Topology:
     @property
     def motors(self) -> tuple[str, ...]:
         """Coordinates of motors, their own and those that turn with a joint."""
-        own = (branch.name for branch in self.branches if branch.motor)
-        return (*own, *dict(self.geared))
+        part = (branch.name for branch in self.branches if branch.motor)
+        return (*part, *dict(self.geared))
 
     @property
     def depend(self) -> bool:
@@ -162,7 +162,7 @@ def motor_name(coupling: str) -> str:
 
 def motors(couplings: Mapping[str, AbstractCoupling]) -> dict[str, str]:
     """The couplings that have a motor, by the motor's name."""
-    return {motor_name(name): name for name, own in couplings.items() if own.motor is not None}
+    return {motor_name(name): name for name, part in couplings.items() if part.motor is not None}
 
 
 def free_joint(body: Body) -> AbstractJoint:
@@ -235,9 +235,9 @@ def grow(
         if open_ends:
             name = min(open_ends, key=rank)
             parent, child = ideal[name].parent.body, ideal[name].child.body
-            turned = parent not in depth
-            inner, outer = (child, parent) if turned else (parent, child)
-            order.append((outer, name, inner, turned))
+            rotated = parent not in depth
+            inner, outer = (child, parent) if rotated else (parent, child)
+            order.append((outer, name, inner, rotated))
             unused.remove(name)
         else:
             outer = next(body for body in bodies if body not in depth)
@@ -264,12 +264,12 @@ def _lay_out(order, closing, bodies, connections, couplings=None):
         subtrees.append([])
         visit(root, subtrees[-1])
     branches, q, v = [], 0, 0
-    for body, name, parent, turned in sequence:
+    for body, name, parent, rotated in sequence:
         joint = free_joint(bodies[body]) if name is None else connections[name].joint
         driven = drive_of(joint) is not None
         nq = 0 if driven else len(joint.home)
         nv = 0 if driven else len(joint.columns(joint.home))
-        branches.append(Branch(body, name, parent, turned, slice(q, q + nq), slice(v, v + nv)))
+        branches.append(Branch(body, name, parent, rotated, slice(q, q + nq), slice(v, v + nv)))
         q, v = q + nq, v + nv
     clearances = tuple(n for n, c in connections.items() if isinstance(c.joint, AbstractClearance))
     free = {branch.name for branch in branches if branch.coordinate_count}
@@ -277,16 +277,16 @@ def _lay_out(order, closing, bodies, connections, couplings=None):
     for motor in motors(couplings):
         if motor not in dict(geared):
             subtrees.append([len(branches)])
-            own = slice(q, q + 1), slice(v, v + 1)
-            branches.append(Branch(motor, motor, GROUND, False, *own, True))
+            coupling = slice(q, q + 1), slice(v, v + 1)
+            branches.append(Branch(motor, motor, GROUND, False, *coupling, True))
             q, v = q + 1, v + 1
-    turned = {motor_name(name) for name in couplings} & {*dict(geared)}
+    rotated = {motor_name(name) for name in couplings} & {*dict(geared)}
     rows = [
         name
-        for name, own in couplings.items()
-        if not own.gives
-        and motor_name(name) not in turned
-        and not isinstance(own, AbstractForceCoupling)
+        for name, coupling in couplings.items()
+        if not coupling.gives
+        and motor_name(name) not in rotated
+        and not isinstance(coupling, AbstractForceCoupling)
     ]
     loops = (*closing, *rows)
     return Topology(
@@ -305,20 +305,20 @@ def _geared(couplings: Mapping[str, AbstractCoupling], free: set[str]) -> Iterat
     """(motor, joint) of motors that turn with the coordinate of a joint of the tree that no drive
     prescribes."""
     for motor, name in motors(couplings).items():
-        own = couplings[name]
-        joints = own.joints()
-        if not own.gives and len(joints) == 1 and joints[0] in free:
+        coupling = couplings[name]
+        joints = coupling.joints()
+        if not coupling.gives and len(joints) == 1 and joints[0] in free:
             yield motor, joints[0]
 
 
-def own_numbers(mechanism: Any) -> Iterator[tuple[str, Any, Mapping[str, Any], str]]:
+def numbers_of_parts(mechanism: Any) -> Iterator[tuple[str, Any, Mapping[str, Any], str]]:
     """(name, value, metadata of its field, unit) of every number of a mechanism but those of its
     start, in definition order."""
     for part in ("bodies", "connections", "loads", "couplings"):
-        for name, own in dict.items(getattr(mechanism, part)):
+        for name, entry in dict.items(getattr(mechanism, part)):
             joint = part == "connections"
-            along = slides(mechanism, name) if joint else moves_along(mechanism, own)
-            for path, leaf, metadata in numbers(own, f'{part}["{name}"]'):
+            along = slides(mechanism, name) if joint else moves_along(mechanism, entry)
+            for path, leaf, metadata in numbers(entry, f'{part}["{name}"]'):
                 yield path, leaf, metadata, unit_along(metadata, along)
     for path, leaf, metadata in numbers(mechanism.stabilisation, "stabilisation"):
         yield path, leaf, metadata, unit_along(metadata, False)

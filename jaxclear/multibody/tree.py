@@ -188,10 +188,10 @@ def joint_wrenches(
     for index in range(len(links) - 1, -1, -1):
         parent = links[index].parent
         if parent >= 0:
-            passed = transform_wrench(motions[index].relative, through[index])
+            crossed = transform_wrench(motions[index].relative, through[index])
             through[parent] = Wrench(
-                sp.plus(through[parent].force, passed.force),
-                sp.plus(through[parent].torque, passed.torque),
+                sp.plus(through[parent].force, crossed.force),
+                sp.plus(through[parent].torque, crossed.torque),
             )
     return tuple(through)
 
@@ -218,13 +218,13 @@ def mass_matrix(links: tuple[Link, ...], motions: tuple[Motion, ...]) -> tuple[t
         if parent >= 0 and _moves(links, motions, parent):
             mass, moment, inertia = composite[index]
             rotation, offset = motions[index].relative
-            turned = sp.apply(rotation, moment)
-            shifted = sp.shift_inertia(sp.congruence(rotation, inertia), mass, turned, offset)
-            own_mass, own_moment, own_inertia = composite[parent]
+            rotated = sp.apply(rotation, moment)
+            shifted = sp.shift_inertia(sp.congruence(rotation, inertia), mass, rotated, offset)
+            sub_mass, sub_moment, sub_inertia = composite[parent]
             composite[parent] = (
-                sp.add(own_mass, mass),
-                sp.plus(own_moment, turned, sp.scale(mass, offset)),
-                sp.plus_matrix(own_inertia, shifted),
+                sp.add(sub_mass, mass),
+                sp.plus(sub_moment, rotated, sp.scale(mass, offset)),
+                sp.plus_matrix(sub_inertia, shifted),
             )
     places = [
         (index, k) for index, motion in enumerate(motions) for k in range(len(motion.columns))
@@ -249,8 +249,8 @@ def mass_matrix(links: tuple[Link, ...], motions: tuple[Motion, ...]) -> tuple[t
             other = links[other].parent
     for index, link in enumerate(links):
         if link.rotor is not None:
-            own = position[index, 0]
-            rows[own][own] = sp.add(rows[own][own], link.rotor)
+            part = position[index, 0]
+            rows[part][part] = sp.add(rows[part][part], link.rotor)
     return tuple(map(tuple, rows))
 
 

@@ -49,13 +49,18 @@ from jaxclear.ground.warning import call_user, shape_of, warn
 from jaxclear.ground.wording import listed, meant
 from jaxclear.laws.stiffness import fitted
 from jaxclear.multibody.contact_point import check_followed
-from jaxclear.multibody.meshes import drawn_pose, markers, moves_apart, rolls_on_its_carriers_base
+from jaxclear.multibody.meshes import (
+    drawn_pose,
+    is_distance_free,
+    markers,
+    rolls_on_its_carriers_base,
+)
 from jaxclear.multibody.pose_rows import check_rows
 from jaxclear.multibody.topology import MOTOR, Topology, coordinate_joint, motors
 
 NUMBER = jax.ShapeDtypeStruct((), jnp.float64)
 VECTOR = (NUMBER,) * 3
-SEEN = MarkerMotion(Pose((VECTOR,) * 3, VECTOR), VECTOR, VECTOR)
+MARKER_MOTION = MarkerMotion(Pose((VECTOR,) * 3, VECTOR), VECTOR, VECTOR)
 IN_JOINT = JointMotion(Pose((VECTOR,) * 3, VECTOR), VECTOR, VECTOR)
 ON_COORDINATE = ("generalised force", "stored energy", "dissipated power", "external power")
 MOTION = ("position", "speed", "acceleration")
@@ -63,10 +68,10 @@ MOTION = ("position", "speed", "acceleration")
 INSTANTS, CLOSE = (0.0137, 0.113, 0.371), 1e-6
 
 
-def check_own_drive(name: str, drive: AbstractDrive | None) -> None:
+def check_user_drive(name: str, drive: AbstractDrive | None) -> None:
     """Raises `ValueError` with a sentence where the drive of a joint answers something else than
     its motion."""
-    if drive is not None and is_own(drive):
+    if drive is not None and is_users(drive):
         what = f'the drive of joint "{name}", its motion(time),'
         shape_of(lambda time: _numbers(what, call_user(what, drive.motion, time), MOTION), NUMBER)
         if not is_traced(drive):
@@ -76,48 +81,48 @@ def check_own_drive(name: str, drive: AbstractDrive | None) -> None:
 def _check_rates(name: str, drive: AbstractDrive) -> None:
     """Raises `ValueError` where the speed of a drive is not the rate of its position, or its
     acceleration not that of its speed, at any of a few instants."""
-    motion = lambda time: tuple(jnp.asarray(own, float) for own in drive.motion(time))
+    motion = lambda time: tuple(jnp.asarray(part, float) for part in drive.motion(time))
     looks = [jax.jvp(motion, (time,), (1.0,)) for time in INSTANTS]
     for below, above in itertools.pairwise(range(3)):
-        rates = [(float(found[above]), float(rate[below])) for found, rate in looks]
-        if all(abs(told - rate) > CLOSE * (abs(told) + abs(rate)) for told, rate in rates):
-            (told, rate), time = rates[0], INSTANTS[0]
+        rates = [(float(result[above]), float(rate[below])) for result, rate in looks]
+        if all(abs(report - rate) > CLOSE * (abs(report) + abs(rate)) for report, rate in rates):
+            (report, rate), time = rates[0], INSTANTS[0]
             raise ValueError(
                 f'the drive of joint "{name}", its motion(time), returns the {MOTION[above]} '
-                f"{told:.6g} at {time:g} s, where its {MOTION[below]} changes by {rate:.6g} a "
+                f"{report:.6g} at {time:g} s, where its {MOTION[below]} changes by {rate:.6g} a "
                 "second; each must be the rate of the one before."
             )
 
 
-def check_own_load(name: str, load: Any) -> None:
+def check_user_load(name: str, load: Any) -> None:
     """The same of a load and its effect, or force."""
-    if not is_own(load):
+    if not is_users(load):
         return
     if isinstance(load, AbstractJointLoad):
         what, states = f'load "{name}", its act(time, motion, states),', load.states()
-        told = lambda *at: _in_joint(what, call_user(what, load.act, *at), states)
-        shape_of(told, NUMBER, IN_JOINT, (NUMBER,) * len(states))
+        describe = lambda *at: _in_joint(what, call_user(what, load.act, *at), states)
+        shape_of(describe, NUMBER, IN_JOINT, (NUMBER,) * len(states))
     elif isinstance(load, AbstractStateLoad) and not isinstance(load, AbstractCoordinateLoad):
         kind = "coupling" if isinstance(load, AbstractForceCoupling) else "load"
         what = f'{kind} "{name}", its effect(time, positions, speeds, states),'
         count, states = len(load.coordinates()), (NUMBER,) * len(load.states())
-        seen = (NUMBER,) * count
-        told = lambda *at: _on_coordinates(what, call_user(what, load.effect, *at), load)
-        shape_of(told, NUMBER, seen, seen, states)
+        view = (NUMBER,) * count
+        describe = lambda *at: _on_coordinates(what, call_user(what, load.effect, *at), load)
+        shape_of(describe, NUMBER, view, view, states)
     if isinstance(load, AbstractCoordinateLoad):
         what = f'load "{name}", its force(time, position, speed),'
-        told = lambda *at: _numbers(what, call_user(what, load.force, *at), ON_COORDINATE)
-        shape_of(told, NUMBER, NUMBER, NUMBER)
+        describe = lambda *at: _numbers(what, call_user(what, load.force, *at), ON_COORDINATE)
+        shape_of(describe, NUMBER, NUMBER, NUMBER)
     if isinstance(load, AbstractBodyLoad):
         what, markers = f'load "{name}", its effect(time, motions),', load.markers()
-        told = lambda *at: _effect(what, call_user(what, load.effect, *at), markers)
-        shape_of(told, NUMBER, (SEEN,) * len(markers))
+        describe = lambda *at: _effect(what, call_user(what, load.effect, *at), markers)
+        shape_of(describe, NUMBER, (MARKER_MOTION,) * len(markers))
 
 
 def _on_coordinates(what: str, effect: Any, load: Any) -> None:
     expect(effect, CoordinateEffect, f"{what} returns what", "a jaxclear.load.CoordinateEffect")
-    wanted = (("forces", load.coordinates()), ("rates", [x.name for x in load.states()]))
-    for part, names in wanted:
+    target = (("forces", load.coordinates()), ("rates", [x.name for x in load.states()]))
+    for part, names in target:
         _numbers(f"{what} the {part}", tuple(getattr(effect, part)), tuple(names))
     _numbers(what, effect[2:], CoordinateEffect._fields[2:])
 
@@ -127,11 +132,11 @@ def _in_joint(what: str, effect: Any, states: tuple) -> None:
     _numbers(f"{what} the force,", tuple(effect.force), "xyz")
     _numbers(f"{what} the torque,", tuple(effect.torque), "xyz")
     _numbers(f"{what} the rates", tuple(effect.rates), tuple(x.name for x in states))
-    lost = 0 if effect.dissipated is None else effect.dissipated
-    _numbers(what, (effect.stored, lost, effect.external), JointEffect._fields[3:])
+    loss = 0 if effect.dissipated is None else effect.dissipated
+    _numbers(what, (effect.stored, loss, effect.external), JointEffect._fields[3:])
 
 
-def is_own(part: Any) -> bool:
+def is_users(part: Any) -> bool:
     """Whether a part is of a class from outside this package."""
     return type(part).__module__.partition(".")[0] != __name__.partition(".")[0]
 
@@ -149,10 +154,10 @@ def _effect(what: str, effect: Any, markers: tuple[Marker, ...]) -> None:
     _numbers(what, effect[1:], Effect._fields[1:])
 
 
-def _numbers(what: str, found: Any, names: Any) -> None:
+def _numbers(what: str, result: Any, names: Any) -> None:
     """Raises `ValueError` where what was found is not one number for each name."""
-    several = isinstance(found, (tuple, list)) or getattr(found, "ndim", 0) == 1
-    parts = list(found) if several else [found]
+    several = isinstance(result, (tuple, list)) or getattr(result, "ndim", 0) == 1
+    parts = list(result) if several else [result]
     if len(parts) != len(names) or not all(map(is_one_number, parts)):
         count = len(parts) if all(map(is_one_number, parts)) else "no"
         raise ValueError(
@@ -180,9 +185,9 @@ def check_parts(bodies: dict, connections: dict, loads: dict, couplings: dict) -
         expect(coupling, AbstractCoupling, f'coupling "{name}"', "one of jaxclear.coupling")
         _check_slots(f'coupling "{name}"', coupling)
         check_values(f'coupling "{name}"', coupling)
-    known = _motors(bodies, connections, couplings)
+    values = _motors(bodies, connections, couplings)
     for name, load in loads.items():
-        _check_load(name, load, bodies, connections, known)
+        _check_load(name, load, bodies, connections, values)
         if isinstance(load, AbstractStateLoad):
             _check_motors(name, load, couplings)
             _check_pressed(name, load, loads, couplings)
@@ -199,8 +204,8 @@ def check_parts(bodies: dict, connections: dict, loads: dict, couplings: dict) -
 def _check_connection(name: str, connection: Any, bodies: dict) -> None:
     expect(connection, Connection, f'joint "{name}"', "a jaxclear.Connection")
     joint = connection.joint
-    wanted = "one of jaxclear.joint or jaxclear.clearance"
-    expect(joint, (AbstractJoint, AbstractClearance), f'joint "{name}"', wanted)
+    target = "one of jaxclear.joint or jaxclear.clearance"
+    expect(joint, (AbstractJoint, AbstractClearance), f'joint "{name}"', target)
     _check_slots(f'joint "{name}"', joint)
     check_values(f'joint "{name}"', joint)
     for side, marker in (("parent", connection.parent), ("child", connection.child)):
@@ -210,7 +215,7 @@ def _check_connection(name: str, connection: Any, bodies: dict) -> None:
         raise ValueError(
             f'joint "{name}" joins "{connection.parent.body}" to itself; it needs two bodies.'
         )
-    check_own_drive(name, drive_of(joint))
+    check_user_drive(name, drive_of(joint))
     if isinstance(joint, AbstractJoint):
         check_rows(name, joint)
     if isinstance(joint, AbstractClearance):
@@ -226,28 +231,28 @@ def _check_connection(name: str, connection: Any, bodies: dict) -> None:
 
 def _in_numpy(tree: Any) -> Any:
     """The same with numbers that NumPy computes with: JAX would compile each operation."""
-    known = lambda leaf: isinstance(leaf, jax.Array) and not isinstance(leaf, jax.core.Tracer)
-    return jax.tree.map(lambda leaf: np.asarray(leaf)[()] if known(leaf) else leaf, tree)
+    evaluate = lambda leaf: isinstance(leaf, jax.Array) and not isinstance(leaf, jax.core.Tracer)
+    return jax.tree.map(lambda leaf: np.asarray(leaf)[()] if evaluate(leaf) else leaf, tree)
 
 
 def _motors(bodies: dict, connections: dict, couplings: dict) -> list[str]:
     """Names of motors. Raises `ValueError` where a joint or a body has such a name."""
-    found = [*motors(couplings)]
-    for name in found:
+    result = [*motors(couplings)]
+    for name in result:
         if name in connections or name in bodies:
             what = "joint" if name in connections else "body"
             raise ValueError(
                 f'"{name}" is a {what}, and what the motor of coupling '
                 f'"{name.removesuffix(MOTOR)}" goes by; give one of them another name.'
             )
-    return found
+    return result
 
 
-def _check_load(name: str, load: Any, bodies: dict, connections: dict, known: list[str]) -> None:
+def _check_load(name: str, load: Any, bodies: dict, connections: dict, values: list[str]) -> None:
     expect(load, AbstractLoad, f'load "{name}"', "one of jaxclear.load")
     _check_slots(f'load "{name}"', load)
     check_values(f'load "{name}"', load)
-    check_own_load(name, load)
+    check_user_load(name, load)
     if isinstance(load, AbstractBodyLoad):
         markers = load.markers()
         for marker in markers:
@@ -261,7 +266,7 @@ def _check_load(name: str, load: Any, bodies: dict, connections: dict, known: li
         check_name("joint", load.connection, connections, f' for load "{name}" to act in')
     if isinstance(load, AbstractStateLoad):
         for place in load.coordinates():
-            _check_acts(name, place, bodies, connections, known)
+            _check_acts(name, place, bodies, connections, values)
 
 
 def _check_motors(name: str, load: AbstractStateLoad, couplings: dict) -> None:
@@ -287,7 +292,7 @@ def _check_pressed(name: str, load: AbstractStateLoad, loads: dict, couplings: d
     by = load.pressed_by()
     if by is None:
         return
-    acting = {n: own for n, own in loads.items() if acts_on_coordinates(own)}
+    acting = {n: part for n, part in loads.items() if acts_on_coordinates(part)}
     check_name("load or coupling", by, [*acting, *couplings], f' to press load "{name}"')
     coupling, presser = couplings.get(by), acting.get(by)
     if coupling is not None and not (coupling.gives or isinstance(coupling, AbstractForceCoupling)):
@@ -302,12 +307,12 @@ def _check_pressed(name: str, load: AbstractStateLoad, loads: dict, couplings: d
         )
 
 
-def _check_acts(name: str, place: str, bodies: dict, connections: dict, known: list[str]) -> None:
+def _check_acts(name: str, place: str, bodies: dict, connections: dict, values: list[str]) -> None:
     """That a load may act on the coordinate of a joint, or of a motor."""
-    if place in known:
+    if place in values:
         return
-    own = f' for load "{name}" to act on'
-    check_name("joint", place, [*connections, *known] if known else connections, own)
+    part = f' for load "{name}" to act on'
+    check_name("joint", place, [*connections, *values] if values else connections, part)
     joint = one_coordinate(
         f'load "{name}" acts on',
         place,
@@ -356,10 +361,10 @@ def _check_reach(bodies: dict, connections: dict) -> None:
                 if other not in reached:
                     reached.add(other)
                     frontier.append(other)
-    lost = [body for body in bodies if body not in reached]
-    if lost:
+    loss = [body for body in bodies if body not in reached]
+    if loss:
         raise ValueError(
-            f"no chain of joints leads from the ground to {', '.join(map(repr, lost))}; connect "
+            f"no chain of joints leads from the ground to {', '.join(map(repr, loss))}; connect "
             'it, or let it float with jaxclear.joint.Free() from "ground".'
         )
 
@@ -422,16 +427,16 @@ def check_start(
 ) -> None:
     """Starting coordinates (`places`: "start" and "guess" of a mechanism) and speeds must be given
     for what has some, in the right number."""
-    known = tuple(branch.name for branch in topology.branches if branch.motor)
-    for what, given in places.items():
-        for name, values in given.items():
-            joint = _with_coordinates(what, name, bodies, connections, known)
+    present = tuple(branch.name for branch in topology.branches if branch.motor)
+    for what, place in places.items():
+        for name, values in place.items():
+            joint = _with_coordinates(what, name, bodies, connections, present)
             try:
                 joint.start(values)
             except ValueError as error:
                 raise ValueError(f'{what} of "{name}" {error}') from None
     for name, values in speeds.items():
-        joint = _with_coordinates("speeds", name, bodies, connections, known)
+        joint = _with_coordinates("speeds", name, bodies, connections, present)
         width = len(joint.columns(joint.home))
         if len(values) != width:
             many = f"{width} number{'s' * (width != 1)}"
@@ -439,9 +444,9 @@ def check_start(
 
 
 def _with_coordinates(
-    what: str, name: str, bodies: dict, connections: dict, known: tuple[str, ...]
+    what: str, name: str, bodies: dict, connections: dict, values: tuple[str, ...]
 ) -> AbstractJoint:
-    if name in known:
+    if name in values:
         return Revolute()
     if name not in connections and name not in bodies:
         raise ValueError(
@@ -502,7 +507,7 @@ def check_couplings(couplings: dict, topology: Topology, bodies: dict, connectio
                     coupling.check_rolling(drawn)
             except ValueError as error:
                 raise ValueError(f'coupling "{name}" {error}') from None
-            _warn_of_wheels_apart(name, coupling, topology, bodies, connections)
+            _warn_of_distant_wheels(name, coupling, topology, bodies, connections)
 
 
 def _check_flanks(name: str, coupling: Any, bodies: dict, connections: dict) -> None:
@@ -521,10 +526,10 @@ def _check_flanks(name: str, coupling: Any, bodies: dict, connections: dict) -> 
         what = f'coupling "{name}" has a play that wears along'
         turns = one_coordinate(what, first, bodies, connections).units == ("rad",)
     if turns != (coupling.play.pitch_radius is not None):
-        says = "an angle: give its play the pitch_radius at which flanks press"
+        names = "an angle: give its play the pitch_radius at which flanks press"
         raise ValueError(
             f'the play of coupling "{name}" wears and is '
-            f"{says if turns else 'a length: leave its pitch_radius out'}."
+            f"{names if turns else 'a length: leave its pitch_radius out'}."
         )
     joint = connections[name].joint if name in connections else None
     if isinstance(joint, (AbstractClearance, AbstractRubbingJoint)) and joint.maps():
@@ -534,12 +539,12 @@ def _check_flanks(name: str, coupling: Any, bodies: dict, connections: dict) -> 
         )
 
 
-def _warn_of_wheels_apart(
+def _warn_of_distant_wheels(
     name: str, coupling: Any, topology: Topology, bodies: dict, connections: dict
 ) -> None:
     """Warns where nothing holds two wheels as far apart as they are drawn; loops may."""
     wheels = len(coupling.joints()) == 2 and coupling.moves() == (("rad",), ("rad",))
-    if wheels and not topology.closing and moves_apart(coupling, bodies, connections):
+    if wheels and not topology.closing and is_distance_free(coupling, bodies, connections):
         warn(
             f'coupling "{name}" ties the wheels of joints {listed(coupling.joints())}, which no '
             "body carries together: the distance of their axes changes as others move, and they "
@@ -553,11 +558,11 @@ def _check_forces(
 ) -> None:
     """That the joints of a coupling that is a force have one coordinate each, one of them at least
     free, and its motors are there."""
-    check_own_load(name, coupling)
-    known, driven = _motors(bodies, connections, couplings), []
+    check_user_load(name, coupling)
+    values, driven = _motors(bodies, connections, couplings), []
     for place in coupling.coordinates():
         if place not in coupling.joints():
-            check_name("motor", place, known, f' for coupling "{name}"')
+            check_name("motor", place, values, f' for coupling "{name}"')
             continue
         joint = one_coordinate(f'coupling "{name}" speaks of', place, bodies, connections)
         driven += [place] if drive_of(joint) is not None else []
@@ -570,21 +575,21 @@ def _check_forces(
 
 def _warn_of_locks(couplings: dict) -> None:
     """Warns where sums of coordinates, each of two or more joints, leave a joint one place only."""
-    own = {
+    part = {
         n: c.terms()
         for n, c in couplings.items()
         if isinstance(c, AbstractCoordinateCoupling) and not c.gives and c.motor is None
     }
-    if len(own) < 2 or is_traced(own):
+    if len(part) < 2 or is_traced(part):
         return
-    joints = list(dict.fromkeys(term.joint for terms in own.values() for term in terms))
-    rows = np.zeros((len(own), len(joints)))
-    for row, terms in zip(rows, own.values(), strict=True):
+    joints = list(dict.fromkeys(term.joint for terms in part.values() for term in terms))
+    rows = np.zeros((len(part), len(joints)))
+    for row, terms in zip(rows, part.values(), strict=True):
         for joint, factor in terms:
             row[joints.index(joint)] = float(factor)
     for place, joint in zip(np.eye(len(joints)), joints, strict=True):
         shares = np.linalg.lstsq(rows.T, place, rcond=None)[0]
-        tying = [n for n, share in zip(own, shares, strict=True) if abs(share) > ROUNDING]
+        tying = [n for n, share in zip(part, shares, strict=True) if abs(share) > ROUNDING]
         if len(tying) > 1 and np.allclose(rows.T @ shares, place, atol=ROUNDING):
             warn(
                 f'couplings {listed(tying)} together leave joint "{joint}" one place only: they '
@@ -596,15 +601,15 @@ def _warn_of_locks(couplings: dict) -> None:
 
 def _check_moves(name: str, coupling: Any, bodies: dict, connections: dict) -> None:
     """That the joints leave free what the coupling ties; a part may be held by a fixed one."""
-    says = {"rad": "turn", "m": "slide"}
+    names = {"rad": "turn", "m": "slide"}
     for joint, needed in zip(coupling.joints(), coupling.moves(), strict=True):
         ideal = coordinate_joint(joint, bodies, connections)
-        left = [says[unit] for unit in needed if unit not in ideal.units]
-        if left and ideal.units:
+        rest = [names[unit] for unit in needed if unit not in ideal.units]
+        if rest and ideal.units:
             raise ValueError(
                 f'coupling "{name}", a {type(coupling).__name__}, needs a joint "{joint}" whose '
-                f"parts {' and '.join(says[unit] for unit in needed)}; those of a "
-                f"{type(connections[joint].joint).__name__} do not {' and '.join(left)}."
+                f"parts {' and '.join(names[unit] for unit in needed)}; those of a "
+                f"{type(connections[joint].joint).__name__} do not {' and '.join(rest)}."
             )
 
 

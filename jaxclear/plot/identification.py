@@ -27,7 +27,7 @@ POINTS = 100
 
 
 @answering
-def identification(found: Identified, *, ax: Any = None) -> Any:
+def identification(result: Identified, *, ax: Any = None) -> Any:
     """What a record says of the unknowns of a mechanism.
 
     Panels: each kind of statistic of the record, over the 5 to 95 % bands of all runs (prior) and
@@ -36,17 +36,17 @@ def identification(found: Identified, *, ax: Any = None) -> Any:
     out, with their true values. An identification from signals has unknowns and pairs only.
 
     Args:
-        found: a `Identified`, as `jaxclear.identify` returns it.
+        result: a `Identified`, as `jaxclear.identify` returns it.
         ax: `matplotlib.axes.Axes` to draw in, one for each panel; by default a new figure.
 
     Returns:
         The figure, or the axes that were given.
 
     Raises:
-        ValueError: if `found` is something else.
+        ValueError: if `result` is something else.
     """
-    expect(found, Identified, "the identification", "what jaxclear.identify returns")
-    drawn = _panels(found)
+    expect(result, Identified, "the identification", "what jaxclear.identify returns")
+    drawn = _panels(result)
     columns = len(drawn) if ax is not None else min(len(drawn), MOST_COLUMNS)
     rows = -(-len(drawn) // columns)
     sheet = panels("identification", ax, rows, columns, (4.4 * columns, 3.2 * rows))
@@ -54,65 +54,65 @@ def identification(found: Identified, *, ax: Any = None) -> Any:
         empty.remove()
     for axis, draw in zip(sheet.axes.flat, drawn, strict=False):
         draw(axis)
-    count = sum(u.verdict == IDENTIFIED for u in found.unknowns)
-    sheet.title(f"{count} of {len(found.unknowns)} unknowns identified, from {found.runs} runs")
-    return sheet.done(found.warned)
+    count = sum(u.verdict == IDENTIFIED for u in result.unknowns)
+    sheet.title(f"{count} of {len(result.unknowns)} unknowns identified, from {result.runs} runs")
+    return sheet.done(result.warned)
 
 
 @answering
-def remaining_life(found: RemainingLife, *, ax: Any = None) -> Any:
+def remaining_life(result: RemainingLife, *, ax: Any = None) -> Any:
     """The unknown at each record, and the lines that the records allow, up to the limit.
 
     Args:
-        found: a `RemainingLife`, as `jaxclear.remaining_life` returns it.
+        result: a `RemainingLife`, as `jaxclear.remaining_life` returns it.
         ax: `matplotlib.axes.Axes` to draw in; by default a new figure.
 
     Returns:
         The figure, or the axes that were given.
 
     Raises:
-        ValueError: if `found` is something else.
+        ValueError: if `result` is something else.
     """
-    expect(found, RemainingLife, "the life", "what jaxclear.remaining_life returns")
+    expect(result, RemainingLife, "the life", "what jaxclear.remaining_life returns")
     sheet = panels("remaining_life", ax, 1, 1, (6.4, 4.0))
     (axis,) = sheet.axes.flat
-    middle, low, high = found.failure_band
-    factor, unit = readable([found.limit, *found.values], found.unit)
-    cycles = np.linspace(found.cycles[0], max(high, found.cycles[-1]), POINTS)
-    lines = found.limit + found.rate[:, None] * (cycles - found.failure[:, None])
-    ends = np.array([found.band(line) for line in lines.T]).T * factor
-    share = f"{100 * found.level:g} %"
+    middle, low, high = result.failure_band
+    factor, unit = readable([result.limit, *result.values], result.unit)
+    cycles = np.linspace(result.cycles[0], max(high, result.cycles[-1]), POINTS)
+    lines = result.limit + result.rate[:, None] * (cycles - result.failure[:, None])
+    ends = np.array([result.band(line) for line in lines.T]).T * factor
+    share = f"{100 * result.level:g} %"
     axis.fill_between(cycles, *ends[1:], color="C0", alpha=0.25, lw=0, label=f"{share} of lines")
     axis.plot(cycles, ends[0], color="C0", lw=1.0)
-    bars = 1.96 * factor * found.deviations
-    axis.errorbar(found.cycles, factor * found.values, bars, fmt="ko", ms=4, capsize=3, lw=1.0)
-    axis.axhline(factor * found.limit, color="C3", ls="--", lw=1.0, label="limit")
+    bars = 1.96 * factor * result.deviations
+    axis.errorbar(result.cycles, factor * result.values, bars, fmt="ko", ms=4, capsize=3, lw=1.0)
+    axis.axhline(factor * result.limit, color="C3", ls="--", lw=1.0, label="limit")
     axis.axvspan(low, high, color="C3", alpha=0.15, lw=0, label=f"{share} of failures")
     axis.axvline(middle, color="C3", lw=1.0)
-    top = factor * max(found.limit, *found.values)
+    top = factor * max(result.limit, *result.values)
     axis.set_ylim(top=top + 0.15 * (top - ends.min()))
     axis.set_xlabel("cycles [1]")
-    axis.set_ylabel(f"{found.name} [{unit}]")
+    axis.set_ylabel(f"{result.name} [{unit}]")
     key(axis)
-    sheet.title(found.sentence())
-    return sheet.done([f"Warning: {one}" for one in found.warnings])
+    sheet.title(result.sentence())
+    return sheet.done([f"Warning: {one}" for one in result.warnings])
 
 
-def _panels(found: Identified) -> list[Callable[[Any], None]]:
+def _panels(result: Identified) -> list[Callable[[Any], None]]:
     """What each panel draws."""
     drawn: list[Callable[[Any], None]] = []
-    evidence, unknowns = found.evidence, range(len(found.unknowns))
+    evidence, unknowns = result.evidence, range(len(result.unknowns))
     if evidence is not None:
         near = _nearest(evidence)
         kinds = evidence.kinds.items()
         drawn += [partial(_statistics, what=w, runs=r, record=s, near=near) for w, (r, s) in kinds]
-    drawn += [partial(_marginal, found=found, k=k) for k in unknowns]
+    drawn += [partial(_marginal, result=result, k=k) for k in unknowns]
     pairs = itertools.islice(itertools.combinations(unknowns, 2), MOST_PAIRS)
-    drawn += [partial(_pair, found=found, i=i, k=k) for i, k in pairs]
+    drawn += [partial(_pair, result=result, i=i, k=k) for i, k in pairs]
     if evidence is not None:
         part = evidence.held().mean(0)
         drawn += [
-            partial(_leave_one_out, found=found, evidence=evidence, k=k, part=float(part[k]))
+            partial(_leave_one_out, result=result, evidence=evidence, k=k, part=float(part[k]))
             for k in unknowns
         ]
     return drawn
@@ -141,10 +141,10 @@ def _statistics(axis: Any, what: str, runs: np.ndarray, record: np.ndarray, near
     key(axis)
 
 
-def _marginal(axis: Any, found: Identified, k: int) -> None:
-    u = found.unknowns[k]
-    draws = found.posterior_values[:, k]
-    prior = prior_quantiles(found.problem, u.name, (np.arange(400) + 0.5) / 400)
+def _marginal(axis: Any, result: Identified, k: int) -> None:
+    u = result.unknowns[k]
+    draws = result.posterior_values[:, k]
+    prior = prior_quantiles(result.problem, u.name, (np.arange(400) + 0.5) / 400)
     factor, unit = readable([u.prior_low, u.prior_high], u.unit)
     edges = np.linspace(min(prior.min(), draws.min()), max(prior.max(), draws.max()), BINS + 1)
     for values, name, colour in ((prior, "prior", "0.8"), (draws, "posterior", "C0")):
@@ -158,24 +158,24 @@ def _marginal(axis: Any, found: Identified, k: int) -> None:
     key(axis)
 
 
-def _pair(axis: Any, found: Identified, i: int, k: int) -> None:
+def _pair(axis: Any, result: Identified, i: int, k: int) -> None:
     labels = []
     values = []
     for one in (i, k):
-        u = found.unknowns[one]
+        u = result.unknowns[one]
         factor, unit = readable([u.prior_low, u.prior_high], u.unit)
-        values.append(factor * found.posterior_values[:, one])
+        values.append(factor * result.posterior_values[:, one])
         labels.append(f"{u.name} [{unit}]")
     axis.plot(*values, "o", ms=3, mew=0, alpha=0.5)
     axis.set_xlabel(labels[0])
     axis.set_ylabel(labels[1])
 
 
-def _leave_one_out(axis: Any, found: Identified, evidence: Evidence, k: int, part: float) -> None:
-    u = found.unknowns[k]
+def _leave_one_out(axis: Any, result: Identified, evidence: Evidence, k: int, part: float) -> None:
+    u = result.unknowns[k]
     fitted, name = evidence.fitted, u.name
     factor, unit = readable([u.prior_low, u.prior_high], u.unit)
-    as_value = lambda shares: factor * prior_quantiles(found.problem, name, shares)
+    as_value = lambda shares: factor * prior_quantiles(result.problem, name, shares)
     estimates = as_value(np.clip(fitted.surfaces[k].left_out, 0.0, 1.0))
     axis.plot(estimates, as_value(fitted.unknowns[:, k]), "o", ms=3, mew=0, alpha=0.5)
     ends = factor * np.array([u.prior_low, u.prior_high])

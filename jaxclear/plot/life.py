@@ -17,13 +17,13 @@ from jaxclear.studies.life.wear_life import WearLives
 
 
 @answering
-def settled(found: Settled, *, ax: Any = None) -> Any:
+def settled(result: Settled, *, ax: Any = None) -> Any:
     """Distance between the ends of each cycle, with the tolerance, and the responses of each cycle.
 
     Filled marks are cycles that are taken as the motion.
 
     Args:
-        found: a `Settled`, as `jaxclear.settled` returns it.
+        result: a `Settled`, as `jaxclear.settled` returns it.
         ax: `matplotlib.axes.Axes` to draw in, one for the distance and one for each response; by
             default a new figure.
 
@@ -31,16 +31,16 @@ def settled(found: Settled, *, ax: Any = None) -> Any:
         The figure, or the axes that were given.
 
     Raises:
-        ValueError: if `found` is something else.
+        ValueError: if `result` is something else.
     """
-    expect(found, Settled, "the cycle", "what jaxclear.settled returns")
-    table, units = found.table(), found.problem.units()
-    names = list(found.problem.response_names)
+    expect(result, Settled, "the cycle", "what jaxclear.settled returns")
+    table, units = result.table(), result.problem.units()
+    names = list(result.problem.response_names)
     sheet = panels("settled", ax, 1, 1 + len(names), (4.2 * (1 + len(names)), 3.4))
     first, *others = sheet.axes.flat
     taken = table["taken"].to_numpy(bool)
     first.semilogy(table["cycle"], table["apart"], "o-", ms=4, mfc="none", lw=1.0)
-    first.axhline(found.tolerance, color="C3", ls="--", lw=1.0, label="tolerance")
+    first.axhline(result.tolerance, color="C3", ls="--", lw=1.0, label="tolerance")
     first.set_ylabel("distance of its ends [1]")
     key(first)
     for axis, name in zip(others, names, strict=True):
@@ -53,27 +53,27 @@ def settled(found: Settled, *, ax: Any = None) -> Any:
     for axis in sheet.axes.flat:
         axis.set_xlabel("cycle [1]")
         axis.xaxis.set_major_locator(Roomy(integers=True))
-    sheet.title(found.sentence().partition(": ")[0] + ".")
-    return sheet.done([f"Warning: {one}" for one in found.warnings])
+    sheet.title(result.sentence().partition(": ")[0] + ".")
+    return sheet.done([f"Warning: {one}" for one in result.warnings])
 
 
 @answering
-def wear_lives(found: WearLives, *, ax: Any = None) -> Any:
+def wear_lives(result: WearLives, *, ax: Any = None) -> Any:
     """Largest depth and worn volume of every life over its cycles.
 
     Args:
-        found: a `WearLives`, as `jaxclear.wear_lives` returns it.
+        result: a `WearLives`, as `jaxclear.wear_lives` returns it.
         ax: two `matplotlib.axes.Axes` to draw in; by default a new figure.
 
     Returns:
         The figure, or the axes that were given.
 
     Raises:
-        ValueError: if `found` is something else.
+        ValueError: if `result` is something else.
     """
-    expect(found, WearLives, "the lives", "what jaxclear.wear_lives returns")
+    expect(result, WearLives, "the lives", "what jaxclear.wear_lives returns")
     sheet = panels("wear_lives", ax, 1, 2, (9.0, 3.8))
-    lives = [life for life in found.lives if life]
+    lives = [life for life in result.lives if life]
     for axis, kind in zip(sheet.axes.flat, (DEPTH, VOLUME), strict=True):
         curves = [life.over_life(kind) for life in lives]
         every = np.concatenate(curves) if curves else np.zeros(0)
@@ -83,7 +83,7 @@ def wear_lives(found: WearLives, *, ax: Any = None) -> Any:
             axis.plot(life.cycles, factor * curve, lw=0.8, alpha=0.7, color="C3" if early else "C0")
         axis.set_xlabel("cycles [1]")
         axis.set_ylabel(f"{'largest depth' if kind == DEPTH else 'volume lost'} [{unit}]")
-    sheet.title(found.sentence())
+    sheet.title(result.sentence())
     return sheet.done()
 
 
@@ -173,43 +173,43 @@ def _response(axis: Any, life: WearLife, name: str) -> None:
 
 
 @answering
-def design(found: Design, *, ax: Any = None) -> Any:
+def design(result: Design, *, ax: Any = None) -> Any:
     """Nominal values and tolerances of a design, its limits, and the cost over the rounds.
 
     The limits are drawn as used shares, by the last verification, with 95 % errors.
 
     Args:
-        found: a `Design`, as `jaxclear.design` returns it.
+        result: a `Design`, as `jaxclear.design` returns it.
         ax: three `matplotlib.axes.Axes` to draw in; by default a new figure.
 
     Returns:
         The figure, or the axes that were given.
 
     Raises:
-        ValueError: if `found` is something else.
+        ValueError: if `result` is something else.
     """
-    expect(found, Design, "the design", "what jaxclear.design returns")
-    names = found.question.freedom.names
-    height = 2.2 + 0.34 * max(len(names), len(found.limits))
+    expect(result, Design, "the design", "what jaxclear.design returns")
+    names = result.question.freedom.names
+    height = 2.2 + 0.34 * max(len(names), len(result.limits))
     sheet = panels("design", ax, 1, 3, (13.0, height), width_ratios=(1.2, 1.2, 0.9))
     for draw, axis in zip((_widths, _limits, _history), sheet.axes.flat, strict=True):
-        draw(axis, found)
-    sheet.title(found.sentence().partition(". ")[0] + ".")
-    return sheet.done([] if found.holds else [found.sentence()])
+        draw(axis, result)
+    sheet.title(result.sentence().partition(". ")[0] + ".")
+    return sheet.done([] if result.holds else [result.sentence()])
 
 
-def _widths(axis: Any, found: Design) -> None:
-    freedom = found.question.freedom
-    units = dict(zip(freedom.names, found.problem.variable_units, strict=True))
+def _widths(axis: Any, result: Design) -> None:
+    freedom = result.question.freedom
+    units = dict(zip(freedom.names, result.problem.variable_units, strict=True))
     places = np.arange(len(freedom.names))
-    after = np.array([found.tolerances[name] for name in freedom.names])
+    after = np.array([result.tolerances[name] for name in freedom.names])
     factor, unit = readable(after, units[freedom.names[0]])
     if len(set(units.values())) > 1:
         factor, unit = 1.0, "own unit"
     axis.barh(places + 0.19, factor * freedom.usual, 0.36, color="0.75", label="as given")
     axis.barh(places - 0.19, factor * after, 0.36, color="C0", label="designed")
     labels = [
-        f"{name}\nat {1e3 * found.nominal[name]:.5g} mm" if units[name] == "m" else name
+        f"{name}\nat {1e3 * result.nominal[name]:.5g} mm" if units[name] == "m" else name
         for name in freedom.names
     ]
     axis.set_yticks(places, labels, fontsize=8)
@@ -218,25 +218,25 @@ def _widths(axis: Any, found: Design) -> None:
     key(axis)
 
 
-def _limits(axis: Any, found: Design) -> None:
-    places = np.arange(len(found.limits))
-    used = 100 * (1.0 + found.excess)
-    last = found.rounds[-1].check
+def _limits(axis: Any, result: Design) -> None:
+    places = np.arange(len(result.limits))
+    used = 100 * (1.0 + result.excess)
+    last = result.rounds[-1].check
     errors = np.zeros(len(used)) if last is None else 100 * last.excess_errors
-    colours = ["C3" if not one <= found.allowed_excess else "C2" for one in found.excess]
+    colours = ["C3" if not one <= result.allowed_excess else "C2" for one in result.excess]
     axis.barh(places, np.maximum(used, 0.0), 0.5, color=colours, alpha=0.7)
     axis.errorbar(used, places, xerr=errors, fmt="none", ecolor="k", capsize=3)
     axis.axvline(100.0, color="k", lw=1.0)
-    axis.set_yticks(places, [limit.words() for limit in found.limits], fontsize=7)
+    axis.set_yticks(places, [limit.words() for limit in result.limits], fontsize=7)
     axis.invert_yaxis()
     axis.set_xlim(0.0, max(110.0, 1.1 * float(np.nanmax(used, initial=100.0))))
     axis.set_xlabel("limit used up [%]")
 
 
-def _history(axis: Any, found: Design) -> None:
-    history = found.history()
+def _history(axis: Any, result: Design) -> None:
+    history = result.history()
     axis.plot(history["runs"], history["cost"], "o-", color="C0", ms=4, lw=1.2)
-    holds = history["largest excess"] <= found.allowed_excess
+    holds = history["largest excess"] <= result.allowed_excess
     axis.plot(
         history["runs"][holds],
         history["cost"][holds],
@@ -253,13 +253,13 @@ def _history(axis: Any, found: Design) -> None:
 
 
 @answering
-def design_front(found: Sequence[Design], limit: int = 0, *, ax: Any = None) -> Any:
+def design_front(result: Sequence[Design], limit: int = 0, *, ax: Any = None) -> Any:
     """Cost of designs over the bound of one limit.
 
     Designs that satisfy their limits are filled, the others hollow.
 
     Args:
-        found: a sequence of `Design`, as `jaxclear.design_front` returns it.
+        result: a sequence of `Design`, as `jaxclear.design_front` returns it.
         limit: number of the limit, from 0 (default) on.
         ax: `matplotlib.axes.Axes` to draw in; by default a new figure.
 
@@ -267,13 +267,13 @@ def design_front(found: Sequence[Design], limit: int = 0, *, ax: Any = None) -> 
         The figure, or the axes that were given.
 
     Raises:
-        ValueError: if `found` is something else.
+        ValueError: if `result` is something else.
     """
-    for one in found:
+    for one in result:
         expect(one, Design, "a design of the front", "one that jaxclear.design_front returns")
-    bounds = np.array([float(one.limits[limit].bound()) for one in found])
-    factor, unit = readable(bounds, found[0].unit(limit))
-    costs, holds = np.array([one.cost for one in found]), np.array([one.holds for one in found])
+    bounds = np.array([float(one.limits[limit].bound()) for one in result])
+    factor, unit = readable(bounds, result[0].unit(limit))
+    costs, holds = np.array([one.cost for one in result]), np.array([one.holds for one in result])
     sheet = panels("design_front", ax, size=(5.6, 3.8))
     axis = sheet.one
     axis.plot(factor * bounds, costs, "-", color="C0", lw=1.2)
@@ -281,7 +281,7 @@ def design_front(found: Sequence[Design], limit: int = 0, *, ax: Any = None) -> 
     if not holds.all():
         bad = ~holds
         axis.plot(factor * bounds[bad], costs[bad], "o", mfc="none", color="C3", label="does not")
-    axis.set_xlabel(f"{found[0].limits[limit].words()} [{unit}]", fontsize=8)
+    axis.set_xlabel(f"{result[0].limits[limit].words()} [{unit}]", fontsize=8)
     axis.set_ylabel("cost")
     key(axis)
     return sheet.done()

@@ -116,23 +116,23 @@ def draw_forces(axis: Any, run: Trajectory, *joints: str) -> None:
 
 
 @answering
-def positions(found: Positions, *, ax: Any = None) -> Any:
+def positions(result: Positions, *, ax: Any = None) -> Any:
     """Centres of mass (x and y), and journals in their gaps, over positions of the drives.
 
     Args:
-        found: a `Positions`, as `jaxclear.positions` returns it.
+        result: a `Positions`, as `jaxclear.positions` returns it.
         ax: two `matplotlib.axes.Axes` to draw in; by default a new figure.
 
     Returns:
         The figure, or the axes that were given.
 
     Raises:
-        ValueError: if `found` is something else.
+        ValueError: if `result` is something else.
     """
-    expect(found, Positions, "the positions", "what jaxclear.positions returns")
+    expect(result, Positions, "the positions", "what jaxclear.positions returns")
     sheet = panels("positions", ax, 1, 2, (10.0, 4.4))
     places_axis, seats_axis = sheet.axes.flat
-    coms = {name: np.asarray(found.body(name).com) for name in found.scene.mechanism.bodies}
+    coms = {name: np.asarray(result.body(name).com) for name in result.scene.mechanism.bodies}
     factor, unit = readable(np.concatenate(list(coms.values())), "m")
     for name, com in coms.items():
         places_axis.plot(factor * com[:, 0], factor * com[:, 1], "o-", ms=3, lw=0.8, label=name)
@@ -140,7 +140,7 @@ def positions(found: Positions, *, ax: Any = None) -> Any:
     places_axis.set_xlabel(f"x [{unit}]")
     places_axis.set_ylabel(f"y [{unit}]")
     key(places_axis)
-    seats = {name: np.asarray(found.offset(name)) for name in found.seats}
+    seats = {name: np.asarray(result.offset(name)) for name in result.seats}
     every = np.concatenate(list(seats.values())) if seats else np.zeros((0, 3))
     factor, unit = readable(every, "m")
     for name, offset in seats.items():
@@ -156,15 +156,15 @@ def positions(found: Positions, *, ax: Any = None) -> Any:
     seats_axis.set_ylabel(f"y [{unit}]")
     if seats:
         key(seats_axis)
-    missing = int(np.sum(~np.asarray(found.found)))
-    sheet.title(f"{len(found.found)} positions, {missing} not found")
+    missing = int(np.sum(~np.asarray(result.found)))
+    sheet.title(f"{len(result.found)} positions, {missing} not found")
     return sheet.done()
 
 
 # The figure of each kind of result.
 FIGURES: dict[type, Callable] = {
     Advice: work_precision,
-    Campaign: lambda found, **how: monte_carlo(found.sample, **how),
+    Campaign: lambda campaign, **how: monte_carlo(campaign.sample, **how),
     Corrected: corrected,
     Design: design,
     Identified: identification,
@@ -189,11 +189,11 @@ FIGURES: dict[type, Callable] = {
 
 
 @answering
-def result(found: Any, *, ax: Any = None) -> Any:
+def result(result: Any, *, ax: Any = None) -> Any:
     """The figure that belongs to a result of jaxclear, a run or the answer of a study.
 
     Args:
-        found: the result.
+        result: the result.
         ax: `matplotlib.axes.Axes` to draw in, as many as the figure's own function takes; by
             default a new figure.
 
@@ -201,10 +201,10 @@ def result(found: Any, *, ax: Any = None) -> Any:
         The figure, or the axes that were given.
 
     Raises:
-        ValueError: if `found` is no result with a figure.
+        ValueError: if `result` is no result with a figure.
     """
-    draw = FIGURES.get(type(found))
+    draw = FIGURES.get(type(result))
     if draw is None:
         kinds = listed(sorted(kind.__name__ for kind in FIGURES))
-        raise ValueError(f"the result is {described(found)}; it must be one of {kinds}.")
-    return draw(found, ax=ax)
+        raise ValueError(f"the result is {described(result)}; it must be one of {kinds}.")
+    return draw(result, ax=ax)

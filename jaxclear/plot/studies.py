@@ -435,32 +435,32 @@ def shapley_effects(study: ShapleyEffects, *, ax: Any = None) -> Any:
 
 
 @answering
-def surface(found: ResponseSurface, *, ax: Any = None) -> Any:
+def surface(result: ResponseSurface, *, ax: Any = None) -> Any:
     """Predictions of a response surface over runs that it was fitted without (leave-one-out).
 
     Args:
-        found: a `ResponseSurface`, as `jaxclear.surface` returns it.
+        result: a `ResponseSurface`, as `jaxclear.surface` returns it.
         ax: `matplotlib.axes.Axes` to draw in, one for each response; by default a new figure.
 
     Returns:
         The figure, or the axes that were given.
 
     Raises:
-        ValueError: if `found` is something else.
+        ValueError: if `result` is something else.
     """
-    expect(found, ResponseSurface, "the surface", "what jaxclear.surface returns")
-    names = list(found.problem.response_names)
+    expect(result, ResponseSurface, "the surface", "what jaxclear.surface returns")
+    names = list(result.problem.response_names)
     sheet = panels("surface", ax, 1, len(names), (WIDE * len(names), 4.0))
     for axis, name in zip(sheet.axes.flat, names, strict=True):
-        answers, predicted = found.responses[name], found.predictions[name]
-        factor, unit = readable(answers, found.problem.units()[name])
+        answers, predicted = result.responses[name], result.predictions[name]
+        factor, unit = readable(answers, result.problem.units()[name])
         ends = factor * np.array([answers.min(), answers.max()])
         axis.plot(ends, ends, color="0.6", lw=1.0, zorder=0)
         axis.plot(factor * answers, factor * predicted, "o", ms=3, alpha=0.6)
         axis.set_xlabel(f"{name} by runs [{unit}]")
         axis.set_ylabel(f"by the surface without the run [{unit}]")
-        quality = f"degree {found.degrees[name]}, leave-one-out R² {found.quality[name]:.4f}"
-        trusted = found.trusted(name)
+        quality = f"degree {result.degrees[name]}, leave-one-out R² {result.quality[name]:.4f}"
+        trusted = result.trusted(name)
         text = quality if trusted else f"{quality}: does not stand for runs"
         axis.set_title(text, fontsize=8, color="k" if trusted else "C3")
     return sheet.done()

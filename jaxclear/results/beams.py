@@ -12,7 +12,7 @@ LINES = ("chord", "start")
 
 
 def _beam(run: Any, name: str) -> Beam:
-    beams = {n: own for n, own in run.mechanism.bodies.items() if isinstance(own, Beam)}
+    beams = {n: b for n, b in run.mechanism.bodies.items() if isinstance(b, Beam)}
     check_name("beam", name, beams, " in this mechanism")
     return beams[name]
 
@@ -34,8 +34,8 @@ def deflection(
         across = axes[:, :, 1] - jnp.sum(axes[:, :, 1] * along, axis=-1)[:, None] * along
         across = across / jnp.linalg.norm(across, axis=-1, keepdims=True)
         axes = jnp.stack([along, across, jnp.cross(along, across)], axis=-1)
-    seen = jnp.einsum("tji,tpj->tpi", axes, away)
-    return seen - jnp.stack([jnp.asarray(ends), *jnp.zeros((2, len(ends)))], axis=-1)
+    local = jnp.einsum("tji,tpj->tpi", axes, away)
+    return local - jnp.stack([jnp.asarray(ends), *jnp.zeros((2, len(ends)))], axis=-1)
 
 
 def stress(run: Any, name: str) -> Float[Array, "time element"]:

@@ -329,9 +329,9 @@ def contact_impulse(history: StateHistory, name: str) -> Float[Array, " time"]:
     """What the normal forces of a joint's contacts have given since the start [N s]."""
     check_contact_joint(history, name)
     model = history.model()
-    own = history.formulation.normal_impulses(model.system, name)
+    impulses = history.formulation.normal_impulses(model.system, name)
     start = model.layout.impulse_start + model.layout.impulses_of(name).start
-    return sum((history.states[:, start + k] for k in own), jnp.zeros_like(history.time))
+    return sum((history.states[:, start + k] for k in impulses), jnp.zeros_like(history.time))
 
 
 def check_contact_joint(history: StateHistory, name: str) -> None:
@@ -341,8 +341,8 @@ def check_contact_joint(history: StateHistory, name: str) -> None:
 
 @eqx.filter_jit
 def _contact(history, name):
-    found = over_time(history, lambda now: history.formulation.contact(now, name)[:-1])
-    parts = tuple(map(columns, found))
+    values = over_time(history, lambda now: history.formulation.contact(now, name)[:-1])
+    parts = tuple(map(columns, values))
     names = _contact_names(history, name, parts[2].shape[1])
     return ContactHistory(history.time, *parts, names)
 
@@ -351,8 +351,8 @@ def _contact_names(history, name, count):
     """What the columns are called: as the joint says, or numbers."""
     joint = history.mechanism.connections[name].joint
     gap = getattr(joint, "gap", joint)
-    own = gap.contact_names() if isinstance(gap, AbstractClearance) else ()
-    return own if len(own) == count else tuple(f"contact {i}" for i in range(count))
+    labels = gap.contact_names() if isinstance(gap, AbstractClearance) else ()
+    return labels if len(labels) == count else tuple(f"contact {i}" for i in range(count))
 
 
 def reaction(history: StateHistory, name: str) -> ReactionHistory:
@@ -364,7 +364,7 @@ def reaction(history: StateHistory, name: str) -> ReactionHistory:
         if isinstance(coupling, AbstractBodyCoupling) and coupling.motor is None
     ]
     loads = history.mechanism.loads.items()
-    in_joints = [n for n, own in loads if isinstance(own, AbstractJointLoad)]
+    in_joints = [n for n, load in loads if isinstance(load, AbstractJointLoad)]
     check_name(name, [*history.mechanism.connections, *meshing, *in_joints], "joint")
     kind = "coupling" if name in couplings else "joint"
     unique = is_unique(history, name, f'the reaction of {kind} "{name}"')
@@ -414,8 +414,8 @@ def _branch_reaction(now, forces, solution, name):
         force, torque = (tuple(sp.neg(x) for x in part) for part in (force, torque))
     for load in system.load_closures:
         if system.loads[load].connection == name:
-            more, turned = _load_reaction(now, forces, load)
-            force, torque = sp.plus(force, more), sp.plus(torque, turned)
+            more, moment = _load_reaction(now, forces, load)
+            force, torque = sp.plus(force, more), sp.plus(torque, moment)
     return force, torque
 
 
@@ -434,14 +434,14 @@ def _closure_reaction(now, forces, solution, name):
         closure, report = system.bearings[name].closure, forces.reports[name]
         force, torque = report.force, report.torque
     elif name in system.transmissions:
-        own = system.transmissions[name]
-        (mesh,) = transmissions.twist_direction(now.motions, own).places
-        size = -forces.pressing[name].torque / own.scale
+        coupling = system.transmissions[name]
+        (mesh,) = transmissions.twist_direction(now.motions, coupling).places
+        size = -forces.pressing[name].torque / coupling.scale
         closure, (force, torque) = mesh.closure, (sp.scale(size, x) for x in mesh.wrench)
     else:
-        wanted = system.closures[topology.loops.index(name)]
-        found = constraints.constraint_wrenches(system, now.motions, solution.multipliers)
-        closure, force, torque, _ = next(entry for entry in found if entry[0] is wanted)
+        loop = system.closures[topology.loops.index(name)]
+        wrenches = constraints.constraint_wrenches(system, now.motions, solution.multipliers)
+        closure, force, torque, _ = next(entry for entry in wrenches if entry[0] is loop)
     rows = (*forces.rows, *constraints.coupling_rows(system, now.motions, solution.multipliers))
     acting = wrench_in_joint(rows, name)
     force, torque = sp.plus(force, acting.force), sp.plus(torque, acting.torque)

@@ -534,15 +534,15 @@ def _peak_of_any_step(run: Trajectory, joint: str) -> Scalar:
         if each is not None
     )
     if joint in system.transmissions:
-        own = system.transmissions[joint]
-        found = [torque_on_flanks(own, depth, jnp.zeros(())) for depth in depths]
+        coupling = system.transmissions[joint]
+        torques = [torque_on_flanks(coupling, depth, jnp.zeros(())) for depth in depths]
     else:
-        found = [
+        torques = [
             laws.contact.elastic_force(depth)
             for laws, depth in zip(system.bearings[joint].contact_laws, depths, strict=True)
             if laws.unfitted is None
         ]
-    return jnp.max(jnp.stack([jnp.zeros(()), *found, *itertools.chain(*forces)]))
+    return jnp.max(jnp.stack([jnp.zeros(()), *torques, *itertools.chain(*forces)]))
 
 
 class FinalCoordinate(AbstractResponse):

@@ -23,7 +23,7 @@ from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.quantity import AbstractQuantified, Scalar
 from jaxclear.ground.wording import unknown
 from jaxclear.multibody import kinematics, state
-from jaxclear.multibody.given import goes_backwards, rows_turned_round
+from jaxclear.multibody.given import is_reversed, reversed_rows
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.state import Layout
 from jaxclear.multibody.system import geared_motors
@@ -106,8 +106,8 @@ class StateHistory(eqx.Module):
             self.states[:, start + branch.speeds.start : last],
         )
         joint = joint_of(branch, self.mechanism.bodies, self.mechanism.connections)
-        if goes_backwards(branch, joint):
-            values = rows_turned_round(joint, *values)
+        if is_reversed(branch, joint):
+            values = reversed_rows(joint, *values)
         return single(values[speeds])
 
     def mean_forces(self, layout: Layout) -> Float[Array, "time components"]:

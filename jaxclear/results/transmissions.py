@@ -57,8 +57,8 @@ def coupling(history: StateHistory, name: str) -> CouplingHistory:
     """A coupling with play or stiffness over time."""
     history.check_single()
     every = history.mechanism.couplings
-    known = [n for n, own in every.items() if own.gives or own.play is not None]
-    check_name(name, known, "coupling with play or stiffness")
+    valid = [n for n, c in every.items() if c.gives or c.play is not None]
+    check_name(name, valid, "coupling with play or stiffness")
     return _coupling(history, name) if every[name].gives else _seated(history, name)
 
 
@@ -94,13 +94,13 @@ def switchings(history: StateHistory, name: str) -> Any:
 @eqx.filter_jit
 def _coupling(history, name):
     def one(now: Instant):
-        own = history.formulation.forces(now).pressing[name]
+        force = history.formulation.forces(now).pressing[name]
         flank = jnp.zeros(())
-        if own.torques:
-            upper, lower = own.torques
+        if force.torques:
+            upper, lower = force.torques
             flank = jnp.where(upper > 0, 1.0, 0.0) - jnp.where(lower > 0, 1.0, 0.0)
-        told = own.twist.value, own.twist.rate, own.torque, own.dissipated, flank
-        return tuple(jnp.asarray(each, float) for each in told)
+        values = force.twist.value, force.twist.rate, force.torque, force.dissipated, flank
+        return tuple(jnp.asarray(each, float) for each in values)
 
     *numbers, flank = over_time(history, one)
     return CouplingHistory(*numbers, flank.astype(int))
@@ -110,8 +110,8 @@ def transmitted(history: StateHistory, name: str) -> Float[Array, " time"]:
     """What a coupling transmits, or a drive or a load on a coordinate gives, over time [N m, N]."""
     mechanism = history.mechanism
     loads = [n for n, load in mechanism.loads.items() if acts_on_coordinates(load)]
-    known = (*mechanism.couplings, *mechanism.driven, *loads)
-    check_name(name, known, "coupling, driven joint or load on a coordinate")
+    valid = (*mechanism.couplings, *mechanism.driven, *loads)
+    check_name(name, valid, "coupling, driven joint or load on a coordinate")
     if name in loads and name not in (*mechanism.couplings, *mechanism.driven):
         return _of_load(history, name)
     if name not in mechanism.couplings:
@@ -146,12 +146,14 @@ def sent_at(history: StateHistory, now: Instant, names: tuple[str, ...]) -> tupl
     rows = functools.cache(lambda: _by_row(now, solution()[2]))
 
     def one(name):
-        own = history.mechanism.couplings[name]
+        coupling = history.mechanism.couplings[name]
         if name in history.mechanism.topology.couplings:
             return rows()[name]
-        if isinstance(own, AbstractForceCoupling):
+        if isinstance(coupling, AbstractForceCoupling):
             return force_of(now.model.system, now.motions, name, now.time, now.followed)
-        return -pressed()[name].torque if own.gives else _geared(history, now, name, solution())
+        return (
+            -pressed()[name].torque if coupling.gives else _geared(history, now, name, solution())
+        )
 
     return tuple(jnp.asarray(one(name), float) for name in names)
 
@@ -168,22 +170,22 @@ def _by_row(now: Instant, solution: Any) -> dict[str, Any]:
     system = now.model.system
     every = constraints.by_closure(system, now.motions, solution.multipliers)
     names = system.topology.loops
-    return {name: own.get(0, 0.0) for name, (_, own) in zip(names, every, strict=True)}
+    return {name: r.get(0, 0.0) for name, (_, r) in zip(names, every, strict=True)}
 
 
-def _geared(history: StateHistory, now: Instant, name: str, found: tuple) -> Any:
-    """The torque on the joint: what loads on the motor leave of its inertia; `found` as `solved`
+def _geared(history: StateHistory, now: Instant, name: str, parts: tuple) -> Any:
+    """The torque on the joint: what loads on the motor leave of its inertia; `parts` as `solved`
     has it."""
-    system, _, solution = found
+    system, _, solution = parts
     motor = motor_name(name)
-    own = system.geared[motor]
-    branch = system.topology.branch_of(own.joint)
+    geared_motor = system.geared[motor]
+    branch = system.topology.branch_of(geared_motor.joint)
     index = system.topology.branches.index(branch)
-    faster = own.ratio * solution.accelerations[index][0]
+    faster = geared_motor.ratio * solution.accelerations[index][0]
     coupling: Any = history.mechanism.couplings[name]
     force = -coupling.motor.inertia * faster
     for label, load in coordinate_loads(system):
         if motor in load.coordinates():
             acts, _ = load_rows(system, now.motions, label, now.time, now.followed)
             force = sp.add(force, acts.forces[load.coordinates().index(motor)])
-    return jnp.asarray(own.ratio * force, float)
+    return jnp.asarray(geared_motor.ratio * force, float)

@@ -30,12 +30,12 @@ from jaxclear.integrators.checks import (
     CONTACTS,
     IN_GAPS,
     LOOPS,
+    MECHANISM,
     RUBBING,
     SLIDING,
     SURFACES,
     TOUCHING,
     UNHELD,
-    WHOLE,
     Check,
     Checks,
     Outcome,
@@ -237,7 +237,7 @@ def _places(model: Model, formulation: AbstractFormulation) -> dict[str, tuple[s
         SLIDING: sliding(model.system),
         TOUCHING: tuple(joint.name for joint in touching(model.system)),
         IN_GAPS: tuple(in_gaps(model)),
-        WHOLE: ("",),
+        MECHANISM: ("",),
     }
 
 

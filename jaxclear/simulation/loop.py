@@ -26,7 +26,7 @@ from jaxclear.integrators.checks import Outcome
 from jaxclear.integrators.events import Events, Peaks, newest, together
 from jaxclear.multibody import closure_coordinates, kinematics
 from jaxclear.multibody.damped_stops import loads_to_settle, with_settled_loads
-from jaxclear.multibody.mechanism import Mechanism, held_as_needed
+from jaxclear.multibody.mechanism import Mechanism, stabilised_as_needed
 from jaxclear.multibody.state import unpack_motion
 from jaxclear.multibody.system import System, readings, rubbing_joints, wear_maps
 from jaxclear.native import (
@@ -191,7 +191,7 @@ def first_turn(
     """(the mechanism as the steps take it, the turn of its run, and what that is handed first),
     from consistent coordinates and speeds at the first of the times [s]; arguments as of `run`."""
     formulation = integrator.formulation
-    mechanism = held_as_needed(mechanism, integrator.opens_loops)
+    mechanism = stabilised_as_needed(mechanism, integrator.opens_loops)
     if loads_to_settle(mechanism) and not formulation.forces_are_means:
         system, step = model_of(mechanism, formulation).system, integrator.asked_step()
         if integrator.steps_between_saves is not None:

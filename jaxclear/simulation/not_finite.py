@@ -20,7 +20,7 @@ from jaxclear.integrators.checks import Outcome
 from jaxclear.multibody.forces import effect_of, load_rows
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.system import body_loads, coordinate_loads
-from jaxclear.multibody.validation import is_own
+from jaxclear.multibody.validation import is_users
 from jaxclear.results.state_history import StateHistory, over_time
 from jaxclear.results.trajectory import Trajectory
 from jaxclear.simulation.error_weights import settling_length
@@ -93,18 +93,18 @@ def _of_springs(mechanism: Mechanism) -> str:
 def _of_loads(history: StateHistory) -> str:
     """A load of the user's own class that is no number at a saved state, or where the last ones
     lead in a saving interval."""
-    if not any(is_own(load) for load in history.mechanism.loads.values()):
+    if not any(is_users(load) for load in history.mechanism.loads.values()):
         return ""
 
     def loads_at(now: Instant) -> dict[str, Any]:
         system = now.model.system
         out: dict[str, Any] = {}
         for name, load in body_loads(system):
-            if is_own(load):
+            if is_users(load):
                 effect = effect_of(system, name, load, now.motions, now.time)
                 out[name] = sp.total(x for each in effect.actions for x in (*each[1], *each[2]))
         for name, resisting in coordinate_loads(system):
-            if is_own(resisting):
+            if is_users(resisting):
                 acts, _ = load_rows(system, now.motions, name, now.time, now.followed)
                 out[name] = sp.total(jax.tree.leaves(acts.forces))
         return {name: jnp.asarray(x, float) for name, x in out.items()}

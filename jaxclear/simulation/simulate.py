@@ -22,7 +22,7 @@ from jaxclear.ground.quantity import is_traced, on_host, with_quantities
 from jaxclear.ground.warning import count_warnings
 from jaxclear.integrators.adaptive import Adaptive
 from jaxclear.integrators.base import AbstractIntegrator
-from jaxclear.multibody.mechanism import Mechanism, held_as_needed
+from jaxclear.multibody.mechanism import Mechanism, stabilised_as_needed
 from jaxclear.multibody.system import wearing_in
 from jaxclear.native import forwards_only, has_kernels, stoppable
 from jaxclear.native.compiled import AROUND_A_KERNEL, compiled_for_kernels, compiled_quickly
@@ -121,7 +121,7 @@ def _form(mechanism: Mechanism, integrator: AbstractIntegrator) -> Key:
 def _check_suited(mechanism: Mechanism, integrator: AbstractIntegrator) -> None:
     name = f"integrator.{type(integrator).__name__}"
     mechanism = on_host(mechanism)
-    joints = held_as_needed(mechanism, integrator.opens_loops)
+    joints = stabilised_as_needed(mechanism, integrator.opens_loops)
     if joints.projects and not integrator.projects:
         raise ValueError(
             f'the loop through joint "{mechanism.topology.loops[0]}" is to be closed by '

@@ -32,10 +32,10 @@ from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.newton import blocks_of, closed, levenberg, shortened
 from jaxclear.multibody.start_equations import (
     Ask,
-    alike,
     ask,
     motions_at,
     retract,
+    scaled,
     speed_scales,
     stacked,
 )
@@ -181,7 +181,7 @@ def _carried_on(
         residual = stacked(problem, blocks)[1]
         # To first order in what is left the position is the same.
         closed_enough = jnp.max(jnp.abs(residual), initial=0.0) <= NEARLY**2 * problem.arm
-        return q, (alike(problem, blocks)[0], closed_enough)
+        return q, (scaled(problem, blocks)[0], closed_enough)
 
     lengths = jnp.diff(times, prepend=times[:1])
     rows, follows = jax.lax.scan(follow, q, (times, lengths))[1]
@@ -287,7 +287,7 @@ def _followed(
     scales = speed_scales(problem)
 
     def closer(place, done, time):
-        step = scales * levenberg(*alike(problem, blocks_of(problem, place, time)), HALVING)
+        step = scales * levenberg(*scaled(problem, blocks_of(problem, place, time)), HALVING)
         return retract(problem.system, place, step), done + step
 
     def part(carry):

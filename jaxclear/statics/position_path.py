@@ -26,7 +26,7 @@ from jaxclear.multibody import constraints
 from jaxclear.multibody.assembly import nearest, ready
 from jaxclear.multibody.given import speed_scales
 from jaxclear.multibody.mechanism import Mechanism
-from jaxclear.multibody.redundancy import DEPENDENT, rank_of, says_new
+from jaxclear.multibody.redundancy import DEPENDENT, is_new, rank_of
 from jaxclear.multibody.start_check import HELD
 from jaxclear.multibody.system import longest_arm, prepare
 from jaxclear.native.compiled import compiled_quickly
@@ -156,7 +156,7 @@ def _with_rows(scene: Posed, here: Posed, free: int) -> tuple[Any, Any]:
         rows = np.asarray(_slopes(here, q, method)[0])
         if rank_of(rows) != free:
             return None, None
-        chosen = tuple(i for i, new in enumerate(says_new(rows)) if new)
+        chosen = tuple(i for i, new in enumerate(is_new(rows)) if new)
         scene = dataclasses.replace(scene, rows=chosen)
         method, before = moved_by(scene, method), method
     anywhere = {n: tuple(map(PLACES.index, gap.ideal_rows)) for n, gap in scene.gaps.items()}

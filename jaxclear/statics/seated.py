@@ -39,8 +39,8 @@ from jaxclear.multibody.mechanism import Mechanism, rebuilt
 from jaxclear.multibody.newton import blocks_of, closed
 from jaxclear.multibody.reach import narrowest_gap
 from jaxclear.multibody.start_equations import (
-    GIVEN,
     LOOP,
+    START,
     Ask,
     ask,
     motions_at,
@@ -317,7 +317,7 @@ def _ground(mechanism: Mechanism, q: Array, pressed: dict[str, Pressed], worn: d
     )
     none = jnp.zeros(problem.system.topology.speed_count)
     value, slope = jax.value_and_grad(energy)(none)
-    rows = stacked(problem, blocks_of(problem, q, 0.0, (LOOP, GIVEN)))[0] * scales
+    rows = stacked(problem, blocks_of(problem, q, 0.0, (LOOP, START)))[0] * scales
     return value, slope, jax.hessian(energy)(none), rows
 
 
@@ -326,7 +326,7 @@ def _moved(mechanism: Mechanism, q: Array, step: Array) -> Array:
     """Coordinates after a step in the scaled speeds, loops closed."""
     problem = ask(mechanism, False)
     q = retract(problem.system, q, speed_scales(problem) * step)
-    return closed(problem, q, 0.0, CLOSING, (LOOP, GIVEN))
+    return closed(problem, q, 0.0, CLOSING, (LOOP, START))
 
 
 def _potential(problem: Ask, q: Array, pressed: dict[str, Pressed], worn: dict) -> Array:

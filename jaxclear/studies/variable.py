@@ -16,7 +16,7 @@ from jaxclear.ground.warning import warn
 from jaxclear.ground.wording import described, listed, meant
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.thermal_expansion import apply_thermal_expansion
-from jaxclear.multibody.topology import own_numbers
+from jaxclear.multibody.topology import numbers_of_parts
 from jaxclear.studies.distribution import AbstractDistribution, AbstractJointDistribution
 from jaxclear.studies.distribution.joint import marginals_of
 from jaxclear.studies.experiment import (
@@ -118,7 +118,7 @@ class Variable(AbstractMechanismVariable):
 
     def unit_in(self, subject):
         first = self.leaves(subject)[0]
-        return next((unit for _, leaf, _, unit in own_numbers(subject) if leaf is first), "1")
+        return next((unit for _, leaf, _, unit in numbers_of_parts(subject) if leaf is first), "1")
 
     def put(self, name, subject, value):
         # Leaves that vary together move by the same amount.
@@ -142,7 +142,7 @@ class Variable(AbstractMechanismVariable):
             )
         if is_traced((own, self.distribution)):
             return
-        for path, leaf, metadata, unit in own_numbers(mechanism):
+        for path, leaf, metadata, unit in numbers_of_parts(mechanism):
             for place in [i for i, one in enumerate(own) if leaf is one]:
                 distribution = marginals_of(self.distribution)[place if self.parts else 0]
                 _warn_of_lost(name, distribution, leaf, (path, metadata, unit))

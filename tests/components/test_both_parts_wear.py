@@ -12,7 +12,7 @@ import pytest
 from scipy.optimize import brentq
 
 import jaxclear as jc
-from jaxclear.components.contact_patch import depth_lost
+from jaxclear.components.contact_patch import depth_loss
 from jaxclear.components.sphere_map import SphereMap
 from jaxclear.components.wear_map import CylinderMap
 from tests.mesh.test_worn_parts import mechanism as worn_parts
@@ -187,7 +187,7 @@ def test_a_part_sinks_to_the_one_level_that_its_overlap_asks_for(wear_map):
     def sought(depth, volume, event):
         contact = wear_map.contact(volume, event)
         patch, start = patch_of(wear_map, contact, depth), contact.start(depth)
-        found = [depth_lost(contact, patch, start + up) for up in (0.0, PLAY)]
+        found = [depth_loss(contact, patch, start + up) for up in (0.0, PLAY)]
         begun = depth, wear_map.reading(depth), (jnp.zeros_like(depth),)
         after = wear_map.deposit_in_turn(*begun, volume[None], event[None])[0]
         return found, after - depth, patch, contact.load.overlap

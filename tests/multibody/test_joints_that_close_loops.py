@@ -15,7 +15,7 @@ from jaxclear.ground.pose import Twist
 from jaxclear.multibody import constraints, kinematics
 from jaxclear.multibody.dynamics import forward_dynamics
 from jaxclear.multibody.forces import applied_forces
-from jaxclear.multibody.pose_rows import WAYS, closing_rows
+from jaxclear.multibody.pose_rows import DIRECTIONS, closing_rows
 from jaxclear.multibody.state import unpack_motion
 from jaxclear.multibody.system import prepare
 from jaxclear.multibody.topology import _lay_out
@@ -137,7 +137,7 @@ def test_rows_from_a_motion_are_as_many_as_it_holds():
         joint = built(kind)
         rows = closing_rows(by_motion(joint))
         assert len(rows) + len(joint.columns(joint.home)) == 6
-        assert set(rows) <= set(WAYS)
+        assert set(rows) <= set(DIRECTIONS)
     assert closing_rows(Screw(0.02)) == closing_rows(Screw(0.5))
 
 

@@ -25,8 +25,8 @@ def run(rig, duration=1e-3, **how):
 @pytest.fixture
 def searches(monkeypatch):
     """How often a start was looked for."""
-    found, own = [], assembly.first_found
-    monkeypatch.setattr(assembly, "first_found", lambda *asked: found.append(1) or own(*asked))
+    found, own = [], assembly.first_search
+    monkeypatch.setattr(assembly, "first_search", lambda *asked: found.append(1) or own(*asked))
     return found
 
 

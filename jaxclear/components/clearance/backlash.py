@@ -14,8 +14,8 @@ from jaxclear.laws.wear import AbstractWearLaw
 FLANKS = ("upper", "lower")
 
 
-def _as_wearing(given: Any) -> Any:
-    return Wearing(given) if isinstance(given, AbstractWearLaw) else given
+def _as_wearing(value: Any) -> Any:
+    return Wearing(value) if isinstance(value, AbstractWearLaw) else value
 
 
 class Backlash(AbstractQuantified):
@@ -61,16 +61,16 @@ class Backlash(AbstractQuantified):
     pitch_radius: Scalar | None = quantity(None, "m", above=0, kw_only=True)
 
     def __check_init__(self):
-        given = [name for name in ("slide", "area") if getattr(self, name) is not None]
-        if self.wear is not None and len(given) < 2:
+        fields = [name for name in ("slide", "area") if getattr(self, name) is not None]
+        if self.wear is not None and len(fields) < 2:
             raise ValueError(
                 "a Backlash that wears needs slide, how far its flanks slide, and area, over which "
                 "the worn volume is a depth."
             )
-        given += [] if self.pitch_radius is None else ["pitch_radius"]
-        if self.wear is None and given:
+        fields += [] if self.pitch_radius is None else ["pitch_radius"]
+        if self.wear is None and fields:
             raise ValueError(
-                f"a Backlash has {given[0]} and no wear, which alone reads it; give wear, a law "
+                f"a Backlash has {fields[0]} and no wear, which alone reads it; give wear, a law "
                 "such as wear.Archard()."
             )
 

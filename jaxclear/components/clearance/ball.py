@@ -79,9 +79,9 @@ class BallSocket(AbstractClearance):
             "ball": (self.ball_wear, self.ball_radius),
         }
         return {
-            name: (SphereMap(own.cells, radius, self.clearance, own.coarseness), own)
-            for name, (own, radius) in surfaces.items()
-            if own is not None
+            name: (SphereMap(s.cells, radius, self.clearance, s.coarseness), s)
+            for name, (s, radius) in surfaces.items()
+            if s is not None
         }
 
     def inner_surfaces(self):
@@ -102,7 +102,7 @@ class BallSocket(AbstractClearance):
     def grown(self, outer, inner):
         socket = outer * self.socket_radius
         gap = socket - inner * self.ball_radius
-        return eqx.tree_at(lambda own: (own.socket_radius, own.clearance), self, (socket, gap))
+        return eqx.tree_at(lambda j: (j.socket_radius, j.clearance), self, (socket, gap))
 
     def diameters(self):
         return 2.0 * self.socket_radius, 2.0 * self.ball_radius

@@ -129,9 +129,9 @@ class SliderGuide(AbstractClearance):
         }
         size = self.length, self.breadth, self.clearance
         return {
-            name: (WallMap((2, own.cells[1]), *along, *size, away, own.coarseness), own)
-            for name, (own, away, *along) in walls.items()
-            if own is not None
+            name: (WallMap((2, s.cells[1]), *along, *size, away, s.coarseness), s)
+            for name, (s, away, *along) in walls.items()
+            if s is not None
         }
 
     def inner_surfaces(self):
@@ -163,12 +163,12 @@ class SliderGuide(AbstractClearance):
     def grown(self, outer, inner):
         width = inner * self.width
         gap = outer * (0.5 * self.width + self.clearance) - 0.5 * width
-        sizes = lambda own: (own.width, own.clearance, own.length)
+        sizes = lambda j: (j.width, j.clearance, j.length)
         joint = eqx.tree_at(sizes, self, (width, gap, inner * self.length))
         for name, factor in (("breadth", inner), ("guide_length", outer), ("guide_middle", outer)):
             size = getattr(self, name)
             if size is not None:
-                joint = eqx.tree_at(lambda own, name=name: getattr(own, name), joint, factor * size)
+                joint = eqx.tree_at(lambda j, name=name: getattr(j, name), joint, factor * size)
         return joint
 
     def diameters(self):
@@ -191,19 +191,19 @@ def _check_wear(joint: SliderGuide) -> None:
     """Raises `ValueError` where a guide wears and does not tell where, or asks for a radius of flat
     walls."""
     wearing = {"guide_wear": joint.guide_wear, "slider_wear": joint.slider_wear}
-    given = {name: own for name, own in wearing.items() if own is not None}
-    for name, own in given.items():
-        if own.worn_radius:
+    wears = {name: w for name, w in wearing.items() if w is not None}
+    for name, w in wears.items():
+        if w.worn_radius:
             raise ValueError(
                 f"the {name} of a SliderGuide has worn_radius=True, but flat walls have no radius; "
                 "leave worn_radius out."
             )
-    missing = [] if joint.breadth is not None or not given else ["breadth"]
+    missing = [] if joint.breadth is not None or not wears else ["breadth"]
     if joint.guide_wear is not None and joint.guide_length is None:
         missing.append("guide_length")
     if missing:
         raise ValueError(
-            f"a SliderGuide with {' and '.join(given)} has no {' and no '.join(missing)}; give the "
+            f"a SliderGuide with {' and '.join(wears)} has no {' and no '.join(missing)}; give the "
             "breadth of the faces and, where the guide wears, the length of its walls [m], over "
             "which the slider travels about guide_middle."
         )
@@ -250,18 +250,18 @@ class PermanentPrismatic(AbstractPermanentJoint):
         pair = sp.mul(1 / self.gap.length, moment)
         ends = []
         for front, along in enumerate((-1, 1)):
-            own = sp.add(sp.mul(0.5, force[0]), sp.mul(along, pair))
+            end = sp.add(sp.mul(0.5, force[0]), sp.mul(along, pair))
             height = sp.mul(0.5 * along, self.gap.length)
             contacts = []
             for side in (0, 1):
                 # The wall on one side pushes towards the other.
                 place = (0.5 * (2 * side - 1) * self.gap.width, 0, height)
-                normal = positive_part(own if side == 0 else sp.neg(own))
+                normal = positive_part(end if side == 0 else sp.neg(end))
                 contacts.append(
                     CarriedContact(2 * side + front, normal, sp.mul(ratio, normal), place)
                 )
-            offset = (-jnp.sign(own) * self.gap.clearance, 0, 0)
-            ends.append(CarryingEnd(height, (own, 0, 0), offset, tuple(contacts)))
+            offset = (-jnp.sign(end) * self.gap.clearance, 0, 0)
+            ends.append(CarryingEnd(height, (end, 0, 0), offset, tuple(contacts)))
         return tuple(ends)
 
     def friction_ratio(self, mu):

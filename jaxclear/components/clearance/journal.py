@@ -155,7 +155,7 @@ class PlanarJournalBearing(AbstractJournalBearing):
         x, y, overlap = self.touch(offset)
         toward = offset[:2] if self.roundness is None else (x, y)
         for surface in worn:
-            place = toward if surface == "bearing" else _seen_by(axes[0], *toward)
+            place = toward if surface == "bearing" else _in_frame(axes[0], *toward)
             depth = self.maps()[surface][0].depth_at_end(worn[surface], *place, -1)
             overlap = sp.sub(overlap, depth)
         return (overlap,)
@@ -173,11 +173,11 @@ class PlanarJournalBearing(AbstractJournalBearing):
         # The whole length carries alike: one row of cells, whatever the number along.
         return {
             name: (
-                CylinderMap((own.cells[0], 1), radius, self.length, self.clearance, own.coarseness),
-                own,
+                CylinderMap((s.cells[0], 1), radius, self.length, self.clearance, s.coarseness),
+                s,
             )
-            for name, (own, radius) in surfaces.items()
-            if own is not None
+            for name, (s, radius) in surfaces.items()
+            if s is not None
         }
 
     def inner_surfaces(self):
@@ -185,7 +185,7 @@ class PlanarJournalBearing(AbstractJournalBearing):
 
     def features(self, surface, offset, axes, indentations, index):
         x, y, _ = self.touch(offset)
-        place = (x, y) if surface == "bearing" else _seen_by(axes[0], x, y)
+        place = (x, y) if surface == "bearing" else _in_frame(axes[0], x, y)
         return (*place, 0.0, self.maps()[surface][0].narrowness(indentations[0]), 0.0)
 
     def end_forces(self, force, torque):
@@ -299,7 +299,7 @@ class JournalBearing(AbstractJournalBearing):
             if not sp.is_zero(lean):
                 overlap = overlap + 0.5 * self.journal_radius * lean * lean
             for surface in worn:
-                place = (x, y) if surface == "bearing" else _seen_by(axes[1], x, y)
+                place = (x, y) if surface == "bearing" else _in_frame(axes[1], x, y)
                 overlap = overlap - self.maps()[surface][0].depth_at_end(worn[surface], *place, end)
             overlaps.append(overlap)
         if self.flange is not None:
@@ -329,9 +329,9 @@ class JournalBearing(AbstractJournalBearing):
         }
         size = self.length, self.clearance
         return {
-            name: (CylinderMap(own.cells, radius, *size, own.coarseness), own)
-            for name, (own, radius) in surfaces.items()
-            if own is not None
+            name: (CylinderMap(s.cells, radius, *size, s.coarseness), s)
+            for name, (s, radius) in surfaces.items()
+            if s is not None
         }
 
     def inner_surfaces(self):
@@ -342,7 +342,7 @@ class JournalBearing(AbstractJournalBearing):
         here, other = centres[index], centres[1 - index]
         x, y, _ = self.touch(here)
         fall = sp.add(sp.mul(here[0] - other[0], x), sp.mul(here[1] - other[1], y))
-        place = (x, y) if surface == "bearing" else _seen_by(axes[1], x, y)
+        place = (x, y) if surface == "bearing" else _in_frame(axes[1], x, y)
         narrowness = self.maps()[surface][0].narrowness(indentations[index])
         return (*place, fall, narrowness, float(2 * index - 1))
 
@@ -353,12 +353,12 @@ class JournalBearing(AbstractJournalBearing):
         joint = self
         if self.journal_length is not None:
             grown = inner * self.journal_length
-            joint = eqx.tree_at(lambda own: own.journal_length, joint, grown)
+            joint = eqx.tree_at(lambda joint: joint.journal_length, joint, grown)
         if self.flange is None:
             return joint
         # The collars stand on the journal, half a bearing and the axial clearance from its middle.
         gap = inner * (0.5 * length + self.flange.clearance) - 0.5 * outer * length
-        sizes = lambda own: (own.flange.clearance, own.flange.radius)
+        sizes = lambda joint: (joint.flange.clearance, joint.flange.radius)
         return eqx.tree_at(sizes, joint, (gap, inner * self.flange.radius))
 
     def left(self, along):
@@ -382,7 +382,7 @@ def _slope(axis) -> tuple:
     return tuple(sp.mul(inverse, component) for component in axis[:2])
 
 
-def _seen_by(journal_x, x, y) -> tuple:
+def _in_frame(journal_x, x, y) -> tuple:
     """A direction of the bearing's plane in the axes of the (turned) journal."""
     length = sp.norm(journal_x[:2])
     cosine, sine = safe_divide(journal_x[0], length), safe_divide(journal_x[1], length)

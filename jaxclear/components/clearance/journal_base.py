@@ -52,16 +52,16 @@ class Lobes(AbstractQuantified):
 def radius_deviation(lobes: Sequence[Lobes], x: Any, y: Any) -> tuple[Any, Any, Any]:
     """r, r' and r'' [m] in the direction (x, y) of length 1."""
     value, slope, bend = 0.0, 0.0, 0.0
-    for own in lobes:
-        k = own.number
-        c, s = _turned(x, y, k)
-        wave = own.cosine * c + own.sine * s
+    for part in lobes:
+        k = part.number
+        c, s = _rotate(x, y, k)
+        wave = part.cosine * c + part.sine * s
         value, bend = value + wave, bend - k * k * wave
-        slope = slope + k * (own.sine * c - own.cosine * s)
+        slope = slope + k * (part.sine * c - part.cosine * s)
     return value, slope, bend
 
 
-def _turned(x: Any, y: Any, times: int) -> tuple[Any, Any]:
+def _rotate(x: Any, y: Any, times: int) -> tuple[Any, Any]:
     """The direction at so many times the angle of (x, y), by squares: binary digits count."""
     c, s = x, y
     for digit in f"{times:b}"[1:]:
@@ -100,14 +100,14 @@ def check_roundness(joint: Any) -> None:
     lobes = joint.roundness
     if lobes is None:
         return
-    known = isinstance(lobes, tuple) and all(isinstance(own, Lobes) for own in lobes)
-    if not known or not lobes:
+    plain = isinstance(lobes, tuple) and all(isinstance(x, Lobes) for x in lobes)
+    if not plain or not lobes:
         raise ValueError(
             f"a {type(joint).__name__} has a roundness that is no tuple of "
             "jaxclear.clearance.Lobes; give a tuple of them, or None for a round bore."
         )
     clearance = concrete(joint.clearance)
-    sizes: list[Any] = [(own.number, concrete(own.cosine), concrete(own.sine)) for own in lobes]
+    sizes: list[Any] = [(x.number, concrete(x.cosine), concrete(x.sine)) for x in lobes]
     if clearance is None or any(None in size for size in sizes):
         return
     bent = sum((k * k - 1) * (a * a + b * b) ** 0.5 for k, a, b in sizes)
@@ -201,8 +201,8 @@ class AbstractJournalBearing(AbstractClearance):
     def seat(self, force, torque):
         # Each end lies where the wall pushes back, on the far side.
         ends = [
-            (self.leaned(tuple(sp.neg(x) for x in direction(own, 2)))[:2], height)
-            for own, height in self.end_forces(force, torque)
+            (self.leaned(tuple(sp.neg(x) for x in direction(force, 2)))[:2], height)
+            for force, height in self.end_forces(force, torque)
         ]
         (first, low), (last, high) = ends[0], ends[-1]
         if len(ends) == 1 or all(map(sp.is_zero, torque[:2])):
@@ -269,17 +269,17 @@ class PermanentRevolute(AbstractPermanentJoint):
     def carrying_ends(self, force, torque, ratio):
         ends = self.gap.end_forces(force, torque)
         size = (self.gap.bearing_radius, self.gap.clearance)
-        found = tuple(
-            pressed_end(k, own, height, ratio, *size) for k, (own, height) in enumerate(ends)
+        ends_found = tuple(
+            pressed_end(k, f, height, ratio, *size) for k, (f, height) in enumerate(ends)
         )
         if self.gap.roundness is not None:
-            leans = [direction(end.offset, 2) for end in found]
-            pairs = zip(found, leans, strict=True)
-            found = tuple(end._replace(offset=self.gap.leaned(lean)) for end, lean in pairs)
-        along = self.gap.axial_seat(force[2], _slope(found))
+            leans = [direction(end.offset, 2) for end in ends_found]
+            pairs = zip(ends_found, leans, strict=True)
+            ends_found = tuple(end._replace(offset=self.gap.leaned(lean)) for end, lean in pairs)
+        along = self.gap.axial_seat(force[2], _slope(ends_found))
         if sp.is_zero(along):
-            return found
-        return tuple(end._replace(offset=(*end.offset[:2], along)) for end in found)
+            return ends_found
+        return tuple(end._replace(offset=(*end.offset[:2], along)) for end in ends_found)
 
     def friction_ratio(self, mu):
         return mu / safe_sqrt(1 + mu * mu)

@@ -48,8 +48,8 @@ class JointName(str):
     __slots__ = ()
 
 
-def _as_end(given: Any) -> Any:
-    return JointName(given) if type(given) is str else given
+def _as_end(value: Any) -> Any:
+    return JointName(value) if type(value) is str else value
 
 
 def end() -> Any:
@@ -57,15 +57,15 @@ def end() -> Any:
     return eqx.field(converter=_as_end)
 
 
-def as_name(given: Any) -> Any:
+def as_name(value: Any) -> Any:
     """The name of a coordinate; raises `ValueError` for a `Motor`."""
-    if isinstance(given, Motor):
+    if isinstance(value, Motor):
         raise ValueError(
             "a coupling.Motor is an end of coupling.Gear, Rack, Belt or Ratio alone; give the "
             "rotor a body and a joint of its own, whose name is then this end. (A motor behind a "
             'coupling with play or stiffness goes by the name of that one and ".motor".)'
         )
-    return given
+    return value
 
 
 def named_end() -> Any:
@@ -73,11 +73,11 @@ def named_end() -> Any:
     return eqx.field(static=True, converter=as_name)
 
 
-def as_backlash(given: Any) -> Any:
+def as_backlash(value: Any) -> Any:
     """A `Backlash` of the default law from a number, its play; anything else as it is."""
-    if given is None or isinstance(given, eqx.Module):
-        return given
-    return Backlash(as_number(given))
+    if value is None or isinstance(value, eqx.Module):
+        return value
+    return Backlash(as_number(value))
 
 
 def play_field() -> Any:

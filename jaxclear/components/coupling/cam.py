@@ -77,14 +77,14 @@ class Cam(AbstractForceCoupling):
     def effect(self, time, positions, speeds, states):
         lift, slope = value_and_slope(self.profile, positions[0])
         rate = slope * speeds[0] - speeds[1]
-        force, stored, lost = one_sided(lift - positions[1], rate, self.stiffness, self.damping)
+        force, stored, loss = one_sided(lift - positions[1], rate, self.stiffness, self.damping)
         torque = -slope * force
         if self.friction is not None:
             lever = self.base_radius + positions[1]
             slip = lever * speeds[0]
             rub = self.friction * force * smooth_sign(jnp.asarray(slip), self.transition_speed)
-            torque, lost = torque - lever * rub, lost + rub * slip
-        return CoordinateEffect((torque, force), (), stored, lost, 0)
+            torque, loss = torque - lever * rub, loss + rub * slip
+        return CoordinateEffect((torque, force), (), stored, loss, 0)
 
     def transmitted(self, effect):
         return effect.forces[1]

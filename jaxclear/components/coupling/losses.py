@@ -60,11 +60,11 @@ class Thread(NamedTuple):
     settling_time: Any
 
 
-def as_efficiency(given: Any) -> Any:
+def as_efficiency(value: Any) -> Any:
     """An `Efficiency` from a number; anything else as it is."""
-    if given is None or isinstance(given, eqx.Module):
-        return given
-    return Efficiency(as_number(given))
+    if value is None or isinstance(value, eqx.Module):
+        return value
+    return Efficiency(as_number(value))
 
 
 def efficiency_field() -> Any:

@@ -99,21 +99,21 @@ class Gear(AbstractBodyCoupling):
         return ("rad",), ("rad",)
 
     def angles(self, pose):
-        return _seen_along_centres(pose)
+        return _angles_to_centres(pose)
 
     def radii(self, drawn):
         share = jnp.abs(self.ratio - 1) if self.internal else self.ratio + 1
         radius = _distance(drawn) / share
         if self.pressure_angle is not None:
             radius = radius * jnp.cos(self.pressure_angle)
-        side = _alike(drawn) * (-1.0 if self.internal else 1.0)
+        side = _side(drawn) * (-1.0 if self.internal else 1.0)
         return radius, side * self.ratio * radius
 
     def rest(self, pose, drawn):
         if self.transmission_error is None:
             return self._tangent(pose, drawn)
-        turned = self.angles(pose)[1] - self.angles(drawn)[1]
-        error = self.transmission_error(turned) * self.radii(drawn)[1] / self.ratio
+        angle = self.angles(pose)[1] - self.angles(drawn)[1]
+        error = self.transmission_error(angle) * self.radii(drawn)[1] / self.ratio
         return sp.add(self._tangent(pose, drawn), error)
 
     def _tangent(self, pose, drawn):
@@ -126,8 +126,8 @@ class Gear(AbstractBodyCoupling):
         # tangent and centres. There is none where the base circles cut each other.
         share = jnp.minimum(base / distance, NO_TANGENT)
         tangent = distance * jnp.sqrt(1 - share * share)
-        apart = -1.0 if self.internal else 1.0
-        return apart * jnp.sign(self.pressure_angle) * (tangent - base * jnp.arccos(share))
+        sign = -1.0 if self.internal else 1.0
+        return sign * jnp.sign(self.pressure_angle) * (tangent - base * jnp.arccos(share))
 
     def terms(self):
         return CoordinateTerm(self.b, 1), CoordinateTerm(self.a, -1 / self.ratio)
@@ -201,10 +201,10 @@ class Belt(AbstractBodyCoupling):
         return ("rad",), ("rad",)
 
     def angles(self, pose):
-        return _seen_along_centres(pose)
+        return _angles_to_centres(pose)
 
     def radii(self, drawn):
-        side = _alike(drawn) * (1.0 if self.crossed else -1.0)
+        side = _side(drawn) * (1.0 if self.crossed else -1.0)
         return self.radius_a, side * self.radius_b
 
     def rest(self, pose, drawn):
@@ -399,8 +399,8 @@ class Screw(AbstractBodyCoupling):
     def thread(self):
         if self.friction is None:
             return None
-        own = helix(self.lead, self.diameter, self.flank_angle)
-        return Thread(own, self.friction, self.presliding, self.settling_time)
+        turns = helix(self.lead, self.diameter, self.flank_angle)
+        return Thread(turns, self.friction, self.presliding, self.settling_time)
 
     def check(self, drawn):
         """Any two markers may be on one thread."""
@@ -423,12 +423,12 @@ def angle_of(sine: Any, cosine: Any) -> Any:
     return direction_angle(jnp.asarray(cosine, float), jnp.asarray(sine, float))
 
 
-def _seen_along_centres(pose: Pose) -> tuple:
+def _angles_to_centres(pose: Pose) -> tuple:
     """How far each of two wheels has turned against the line of their centres [rad], each about its
     own axis."""
     x, y, _ = pose.translation
-    own_x, own_y, _ = sp.apply_transposed(pose.rotation, pose.translation)
-    return -angle_of(y, x), -angle_of(own_y, own_x)
+    cx, cy, _ = sp.apply_transposed(pose.rotation, pose.translation)
+    return -angle_of(y, x), -angle_of(cy, cx)
 
 
 def _distance(pose: Pose) -> Any:
@@ -437,7 +437,7 @@ def _distance(pose: Pose) -> Any:
     return safe_sqrt(jnp.asarray(sp.add(sp.mul(x, x), sp.mul(y, y)), float))
 
 
-def _alike(pose: Pose) -> Any:
+def _side(pose: Pose) -> Any:
     """1 where two axes point the same way, -1 where opposite ways."""
     return jnp.where(jnp.asarray(pose.rotation[2][2], float) < 0, -1.0, 1.0)
 

@@ -49,8 +49,8 @@ class OneWay(AbstractForceCoupling):
 
     def effect(self, time, positions, speeds, states):
         rate = speeds[0] - self.ratio * speeds[1]
-        (force, stored, lost), wound = freewheel(states[0], rate, self.stiffness, self.damping)
-        return CoordinateEffect((-force, self.ratio * force), (wound,), stored, lost, 0)
+        (force, stored, loss), wound = freewheel(states[0], rate, self.stiffness, self.damping)
+        return CoordinateEffect((-force, self.ratio * force), (wound,), stored, loss, 0)
 
     def reads_position(self):
         return False

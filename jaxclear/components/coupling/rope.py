@@ -15,8 +15,8 @@ from jaxclear.ground.quantity import Scalar, as_vector, quantity, vector
 from jaxclear.laws.transmission import one_sided
 
 
-def _as_names(given: Iterable[str]) -> tuple[str, ...]:
-    return tuple(map(as_name, given))
+def _as_names(values: Iterable[str]) -> tuple[str, ...]:
+    return tuple(map(as_name, values))
 
 
 class Rope(AbstractForceCoupling):
@@ -65,8 +65,8 @@ class Rope(AbstractForceCoupling):
         longer = sp.total(r * q for r, q in zip(self.radii, positions, strict=True))
         rate = sp.total(r * v for r, v in zip(self.radii, speeds, strict=True))
         slack = self.pretension / self.stiffness
-        force, stored, lost = one_sided(longer + slack, rate, self.stiffness, self.damping)
-        return CoordinateEffect(tuple(-r * force for r in self.radii), (), stored, lost, 0)
+        force, stored, loss = one_sided(longer + slack, rate, self.stiffness, self.damping)
+        return CoordinateEffect(tuple(-r * force for r in self.radii), (), stored, loss, 0)
 
     def transmitted(self, effect):
         return -effect.forces[0] / self.radii[0]
@@ -138,8 +138,8 @@ class Capstan(AbstractForceCoupling):
         a, pulley, b = (
             0.0 if name is None else next(values) for name in (self.a, self.pulley, self.b)
         )
-        turned = self.radius * pulley
-        return self.radius_a * a + turned, self.radius_b * b - turned
+        travel = self.radius * pulley
+        return self.radius_a * a + travel, self.radius_b * b - travel
 
     def effect(self, time, positions, speeds, states):
         slack = self.pretension / self.stiffness
@@ -154,7 +154,7 @@ class Capstan(AbstractForceCoupling):
         pull_a, pull_b = self.stiffness * stretch_a, self.stiffness * stretch_b
         forwards = jnp.where(states[0] < low, rate_a - grip * rate_b, 0.0)
         backwards = jnp.where(states[0] > high, grip * rate_a - rate_b, 0.0)
-        lost = (pull_a - pull_b) * (forwards + backwards) / (1 + grip)
+        loss = (pull_a - pull_b) * (forwards + backwards) / (1 + grip)
         every = (
             (self.a, -self.radius_a * pull_a),
             (self.pulley, -self.radius * (pull_a - pull_b)),
@@ -162,7 +162,7 @@ class Capstan(AbstractForceCoupling):
         )
         forces = tuple(force for name, force in every if name is not None)
         stored = 0.5 * (pull_a * stretch_a + pull_b * stretch_b)
-        return CoordinateEffect(forces, ((slip - states[0]) / self.settling_time,), stored, lost, 0)
+        return CoordinateEffect(forces, ((slip - states[0]) / self.settling_time,), stored, loss, 0)
 
     def transmitted(self, effect: CoordinateEffect) -> Any:
         """By how much a is pulled more than b [N]."""

@@ -157,11 +157,11 @@ class AbstractJoint(AbstractQuantified):
         """
 
     @abstractmethod
-    def start(self, given: tuple) -> tuple:
+    def start(self, values: tuple) -> tuple:
         """All coordinates from those given for a start.
 
         Args:
-            given: coordinates that the user gives [the joint's units], a tuple.
+            values: coordinates that the user gives [the joint's units], a tuple.
 
         Returns:
             all coordinates of the joint, a tuple.
@@ -171,12 +171,12 @@ class AbstractJoint(AbstractQuantified):
                 them.
         """
 
-    def told(self, given: tuple) -> tuple[bool, ...]:
+    def told(self, values: tuple) -> tuple[bool, ...]:
         """For each speed whether the coordinates that it changes follow from those given for a
         start; all do unless overridden.
 
         Args:
-            given: coordinates that the user gives [the joint's units], a tuple.
+            values: coordinates that the user gives [the joint's units], a tuple.
 
         Returns:
             a flag for each speed, a tuple.
@@ -199,8 +199,8 @@ class AbstractVectorJoint(AbstractJoint):
     def bracket(self, a, b):
         return (0,) * len(a)
 
-    def start(self, given):
-        return complete(self, given)
+    def start(self, values):
+        return complete(self, values)
 
 
 class AbstractLikeIdeal(AbstractVectorJoint):
@@ -247,13 +247,13 @@ def drive_of(joint: Any) -> AbstractDrive | None:
     return joint.drive if isinstance(joint, AbstractDrivenJoint) else None
 
 
-def complete(joint: AbstractJoint, given: tuple) -> tuple:
+def complete(joint: AbstractJoint, values: tuple) -> tuple:
     """The coordinates given, if there is one for each of the joint's."""
-    if len(given) != len(joint.home):
+    if len(values) != len(joint.home):
         many = len(joint.home)
         units = f" [{', '.join(joint.units)}]" if many else ""
-        raise ValueError(f"needs {many} number{'s' * (many != 1)}{units}, not {len(given)}.")
-    return given
+        raise ValueError(f"needs {many} number{'s' * (many != 1)}{units}, not {len(values)}.")
+    return values
 
 
 def turning(pose: Pose, spin: sp.Vec) -> Any:
@@ -474,8 +474,8 @@ def ball_end(force: sp.Vec, ratio: tuple, radius: Any, clearance: Any) -> Carryi
     share = sp.norm(ratio)
     normal = safe_sqrt(1 - share * share) * size
     along = sp.scale(safe_divide(1.0, size), force)
-    turned = sp.plus(sp.scale(safe_divide(normal, size), along), sp.cross(ratio, along))
-    towards = tuple(sp.neg(x) for x in turned)
+    moment = sp.plus(sp.scale(safe_divide(normal, size), along), sp.cross(ratio, along))
+    towards = tuple(sp.neg(x) for x in moment)
     place = sp.scale(radius, towards)
     contact = CarriedContact(0, normal, share * size, place)
     return CarryingEnd(0, force, sp.scale(clearance, towards), (contact,))

@@ -31,7 +31,7 @@ NO_TURN = (1.0, 0.0, 0.0, 0.0)
 
 # What runs once in building; compiled as JAX does, and kept for other processes.
 @functools.partial(compiled_quickly, options={})
-def _turned_by(x: Any, y: Any, z: Any) -> tuple:
+def _rotation_by(x: Any, y: Any, z: Any) -> tuple:
     """Quaternion of a rotation vector [rad]."""
     import jaxlie
 
@@ -75,15 +75,15 @@ class Spherical(AbstractGroupJoint):
     def speeds_at(self, pose, velocity, spin):
         return sp.apply_transposed(pose.rotation, spin)
 
-    def start(self, given):
-        if len(given) in (1, 3):
+    def start(self, values):
+        if len(values) in (1, 3):
             # A rotation vector [rad]; one number turns about z.
-            turn = [0.0] * (3 - len(given)) + list(given)
+            turn = [0.0] * (3 - len(values)) + list(values)
             # Numbers, by whose values no program is kept.
-            return _turned_by(
+            return _rotation_by(
                 *(x if isinstance(x, jax.Array) else np.asarray(x, float) for x in turn)
             )
-        return complete(self, _with_rotation(given))
+        return complete(self, _with_rotation(values))
 
 
 class Planar(AbstractGroupJoint):
@@ -126,8 +126,8 @@ class Planar(AbstractGroupJoint):
         x, y, _ = sp.apply_transposed(pose.rotation, velocity)
         return (x, y, spin[2])
 
-    def start(self, given):
-        return complete(self, given)
+    def start(self, values):
+        return complete(self, values)
 
 
 class Free(AbstractGroupJoint):
@@ -174,20 +174,20 @@ class Free(AbstractGroupJoint):
             *sp.apply_transposed(pose.rotation, spin),
         )
 
-    def start(self, given):
-        if len(given) == 3:
-            return (*given, *NO_TURN)
-        return complete(self, _with_rotation(given))
+    def start(self, values):
+        if len(values) == 3:
+            return (*values, *NO_TURN)
+        return complete(self, _with_rotation(values))
 
-    def told(self, given):
-        return (True,) * 3 + (len(given) != 3,) * 3
+    def told(self, values):
+        return (True,) * 3 + (len(values) != 3,) * 3
 
 
-def _with_rotation(given: tuple) -> tuple:
+def _with_rotation(values: tuple) -> tuple:
     """Coordinates that end in a quaternion, which must not be zero."""
-    if len(given) >= 4 and all(concrete(x) == 0 for x in given[-4:]):
+    if len(values) >= 4 and all(concrete(x) == 0 for x in values[-4:]):
         raise ValueError(f"ends in a quaternion (w, x, y, z) of zeros; no rotation is {NO_TURN}.")
-    return given
+    return values
 
 
 def _unit(quaternion: list) -> tuple:
@@ -238,7 +238,7 @@ def turned(quaternion: tuple, angular: sp.Vec) -> tuple:
     """The unit quaternion after a turn by a rotation vector [rad] in body axes, of a quaternion of
     any nonzero length.
     """
-    return _turned(quaternion, angular, half_turn(sp.dot(angular, angular)))
+    return _rotate(quaternion, angular, half_turn(sp.dot(angular, angular)))
 
 
 def displaced(coordinates: tuple, twist: tuple) -> tuple:
@@ -256,7 +256,7 @@ def displaced(coordinates: tuple, twist: tuple) -> tuple:
     position = sp.plus(
         tuple(coordinates[:3]), sp.apply(rotation_from_quaternion(coordinates[3:]), along)
     )
-    return (*position, *_turned(coordinates[3:], angular, (cosine, sine)))
+    return (*position, *_rotate(coordinates[3:], angular, (cosine, sine)))
 
 
 def slid(coordinates: tuple, twist: tuple) -> tuple:
@@ -285,7 +285,7 @@ def planar_bracket(a: tuple, b: tuple) -> tuple:
     return (b[2] * a[1] - a[2] * b[1], a[2] * b[0] - b[2] * a[0], 0)
 
 
-def _turned(quaternion, angular, half):
+def _rotate(quaternion, angular, half):
     w, x, y, z = quaternion
     c, (i, j, k) = half[0], sp.scale(half[1], angular)
     product = (

@@ -96,8 +96,7 @@ class PlainBearing(AbstractRubbingJoint, AbstractLikeIdeal, AbstractDrivenJoint)
         if self.length is not None:
             ends = shared_by_ends(force, torque, self.length)
         return tuple(
-            pressed_end(k, own, height, ratio, self.radius, 0)
-            for k, (own, height) in enumerate(ends)
+            pressed_end(k, f, height, ratio, self.radius, 0) for k, (f, height) in enumerate(ends)
         )
 
     def friction_ratio(self, mu):
@@ -172,8 +171,7 @@ class Slideway(AbstractRubbingJoint, AbstractLikeIdeal, AbstractDrivenJoint):
             side = (sp.mul(1 / self.width, torque[2]), 0, 0)
             ends += [(side, 0), (tuple(sp.neg(x) for x in side), 0)]
         return tuple(
-            _side(k, sp.norm(own), ratio, own, (0, 0, height))
-            for k, (own, height) in enumerate(ends)
+            _side(k, sp.norm(f), ratio, f, (0, 0, height)) for k, (f, height) in enumerate(ends)
         )
 
     def friction_ratio(self, mu):
@@ -264,8 +262,8 @@ class AbstractRubbingBall(AbstractRubbingJoint, AbstractGroupJoint):
     def speeds_at(self, pose, velocity, spin):
         return Spherical().speeds_at(pose, velocity, spin)
 
-    def start(self, given):
-        return Spherical().start(given)
+    def start(self, values):
+        return Spherical().start(values)
 
 
 class BallJoint(AbstractRubbingBall):
