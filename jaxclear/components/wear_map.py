@@ -77,7 +77,8 @@ class Wearing(AbstractQuantified):
             follows the radius as worn at the contact, not as made.
         updates: largest number of updates of the surface in a run, a count, >= 1; None: no bound.
             With a bound a depth may be wrong by more than the estimate.
-        coarseness: number of cells side by side that are one [1], 1 or 2; companion runs take 2.
+        coarseness: number of cells side by side that are one [1], >= 1, <= 2: either 1 or 2, which
+            companion runs take.
 
     Raises:
         ValueError: for fewer than 4 cells around or 1 along, or another coarseness.

@@ -67,6 +67,7 @@ TOGETHER = {
     "poisson_ratio": 0.375,
     "bound": 2.0,
     "method": "heun",
+    "coarseness": 2.0,
     "contact_steps": None,
     "steps_per_save": 7,
     "axes": [0, 2],
