@@ -27,6 +27,7 @@ from jaxclear.studies.tolerance import iso286
 from jaxclear.studies.variable import AbstractMechanismVariable
 
 MILLI, MICRO = 1e-3, 1e-6
+FIT = re.compile(r"\s*[øØ⌀]?\s*(\d+(?:\.\d*)?)\s*([A-Z]+\d+)\s*/\s*([a-z]+\d+)\s*")
 KINDS = ("inspected", "normal", "uniform")
 HOLE, SHAFT = "hole", "shaft"
 
@@ -118,7 +119,7 @@ class Fit(AbstractTolerance):
     shaft: Capability | None = None
 
     def __check_init__(self):
-        match = re.fullmatch(r"\s*([\d.]+)\s+([A-Z]+\d+)\s*/\s*([a-z]+\d+)\s*", self.fit)
+        match = FIT.fullmatch(self.fit)
         if match is None:
             raise ValueError(
                 f"{described(self.fit)} is no fit; write the size in mm, the class of the hole and "
@@ -134,11 +135,11 @@ class Fit(AbstractTolerance):
     @property
     def size(self) -> float:
         """Nominal size [m]."""
-        return MILLI * float(self.fit.split()[0])
+        return MILLI * float(FIT.fullmatch(self.fit)[1])
 
     def _limits(self, place: int) -> tuple[float, float]:
-        size, codes = self.fit.split(maxsplit=1)
-        low, high = iso286.limits(float(size), codes.split("/")[place].strip())
+        size, *codes = FIT.fullmatch(self.fit).groups()
+        low, high = iso286.limits(float(size), codes[place])
         return MICRO * low, MICRO * high
 
     @property
