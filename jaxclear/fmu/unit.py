@@ -91,7 +91,7 @@ def as_numbers(name: str, value: Any) -> Any:
 
 
 def check_once(what: str, rows: Sequence[tuple[Any, str]]) -> None:
-    """Raises `ValueError` with the name of the first row, a key and a name, whose key is another's."""
+    """Raises `ValueError` for the first row, a key and a name, whose key stood before."""
     for k, (key, name) in enumerate(rows):
         if key in [x for x, _ in rows[:k]]:
             raise ValueError(TWICE.format(what=what, name=name))
