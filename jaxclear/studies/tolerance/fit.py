@@ -119,14 +119,19 @@ class Fit(AbstractTolerance):
     shaft: Capability | None = None
 
     def __check_init__(self):
+        size, *codes = self._parts()
+        for code in codes:
+            iso286.limits(float(size), code)
+
+    def _parts(self) -> tuple[str, ...]:
+        """Size [mm], class of the hole and of the shaft. Raises `ValueError`."""
         match = FIT.fullmatch(self.fit)
         if match is None:
             raise ValueError(
                 f"{described(self.fit)} is no fit; write the size in mm, the class of the hole and "
                 'that of the shaft, such as "20 H7/g6".'
             )
-        for code in match.groups()[1:]:
-            iso286.limits(float(match[1]), code)
+        return match.groups()
 
     @property
     def specification(self):
@@ -135,10 +140,10 @@ class Fit(AbstractTolerance):
     @property
     def size(self) -> float:
         """Nominal size [m]."""
-        return MILLI * float(FIT.fullmatch(self.fit)[1])
+        return MILLI * float(self._parts()[0])
 
     def _limits(self, place: int) -> tuple[float, float]:
-        size, *codes = FIT.fullmatch(self.fit).groups()
+        size, *codes = self._parts()
         low, high = iso286.limits(float(size), codes[place])
         return MICRO * low, MICRO * high
 
