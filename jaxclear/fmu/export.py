@@ -30,6 +30,7 @@ WORN = (
     'surfaces of joint "{name}" wear, which an FMU does not carry: leave its Wearing out, as a '
     "run of a system is short beside a life, or compute the life by jaxclear.wear_life."
 )
+NO_PATH = 'the path of an FMU is {path}; it must end in ".fmu", in a folder that there is.'
 
 
 class Fmu(AbstractShown):
@@ -130,13 +131,17 @@ def export_fmu(
         raise ValueError(WORN.format(name=name))
     for what, value in (("inputs", inputs), ("outputs", outputs), ("parameters", parameters)):
         expect({} if value is None else value, Mapping, f"{what} of export_fmu", "a dict")
-    system = checked_target(target)
+        for name in value or {}:
+            expect(name or None, str, f"a name in {what} of export_fmu", "a text")
+    system, file = checked_target(target), Path(path)
+    if file.suffix != ".fmu" or not file.parent.is_dir():
+        raise ValueError(NO_PATH.format(path=file))
     mechanism, integrator = with_quantities((mechanism, integrator))
     times = np.linspace(0.0, duration, max(2, round(duration / interval) + 1))
     steps = load_steps(mechanism, integrator, times)
     unit = Unit(mechanism, steps.integrator, outputs, tuple(slopes), (duration, interval))
     unit.add_numbers(inputs or {}, parameters or {})
-    file, names, made = Path(path), TARGETS[system], io.BytesIO()
+    names, made = TARGETS[system], io.BytesIO()
     header = unit.assemble("model exchange" in kinds)
     code = object_file(list(unit.made.values()), names.triple, cpu or names.cpu)
     with zipfile.ZipFile(made, "w", zipfile.ZIP_DEFLATED) as archive:

@@ -122,7 +122,7 @@ class Functions:
         """The outputs."""
         mechanism, integrator, _, now = self._now(leaves, numbers)
         run = run_of_step(mechanism, integrator, numbers[0], now, jnp.stack(numbers[-2:]))
-        return [jnp.asarray(function(run), float) for function in self.outputs.values()]
+        return [function(run) for function in self.outputs.values()]
 
     def _now(self, leaves: Arrays, numbers: Arrays) -> tuple[Any, Any, Model, Carry]:
         mechanism, integrator = self.run.tree(leaves)

@@ -23,7 +23,7 @@ from jaxclear.fmu.functions import (
     run_of_step,
 )
 from jaxclear.ground.arguments import check_name
-from jaxclear.ground.wording import public_name
+from jaxclear.ground.wording import described, public_name
 from jaxclear.integrators.base import SLIVER, AbstractIntegrator
 from jaxclear.integrators.checks import Outcome
 from jaxclear.multibody.mechanism import Mechanism
@@ -64,6 +64,11 @@ NO_OUTPUT = (
     'output "{name}" must be (joint, "coordinate"), (joint, "speed") or (joint, "transmitted"), a '
     "response, or a function of a run."
 )
+TWICE = (
+    'the {what} of "{name}" stands twice in this FMU; time, inputs, parameters and outputs have '
+    "different names, and a number is set by one of them."
+)
+NO_VALUE = 'output "{name}" returns {value}; it must return numbers.'
 NO_EXCHANGE = "model exchange needs rates of the state alone, and {why}: take co-simulation."
 
 
@@ -75,6 +80,21 @@ def packed_size(leaves: Sequence[Any]) -> int:
 def place_of(leaf: Any, leaves: Sequence[Any]) -> int:
     """Which of the leaves one is."""
     return next(i for i, x in enumerate(leaves) if x is leaf)
+
+
+def as_numbers(name: str, value: Any) -> Any:
+    """An output's value as an array. Raises `ValueError` where it is no number."""
+    try:
+        return jnp.asarray(value, float)
+    except (TypeError, ValueError):
+        raise ValueError(NO_VALUE.format(name=name, value=described(value))) from None
+
+
+def check_once(what: str, rows: Sequence[tuple[Any, str]]) -> None:
+    """Raises `ValueError` for the first row, a key and a name, whose key stood before."""
+    for k, (key, name) in enumerate(rows):
+        if key in [x for x, _ in rows[:k]]:
+            raise ValueError(TWICE.format(what=what, name=name))
 
 
 def flat(leaves: Sequence[Any]) -> list[str]:
@@ -122,7 +142,7 @@ class Unit:
         """What reads an output of a run; its unit goes to `units`."""
         if callable(output):
             self.units[name] = unit_of(output, self.mechanism)
-            return output
+            return lambda run: as_numbers(name, output(run))
         if not (isinstance(output, tuple) and len(output) == 2):
             raise ValueError(NO_OUTPUT.format(name=name))
         joint, what = output
@@ -154,6 +174,8 @@ class Unit:
         self.parameters = [self._number("parameter", name, of) for name, of in parameters.items()]
         self.settable = [*self.inputs, *self.parameters]
         self.names = [one.name for one in self.settable]
+        check_once("name", [(name, name) for name in ("time", *self.names, *self.units)])
+        check_once("number", [(one.leaf, one.name) for one in self.settable])
         for name in self.slopes:
             check_name("slope", name, self.names, " among inputs and parameters of export_fmu")
 

@@ -70,6 +70,7 @@ def drawing(drawn: Drawing, *, ax: Any = None) -> Any:
     axis.margins(0.2)
     axis.set_xlabel(f"x [{unit}]")
     axis.set_ylabel(f"y [{unit}]")
-    sheet.title(f"Drawing, zones magnified {magnified:.2g} times" if zones else "Drawing")
+    factor = float(f"{magnified:.2g}")
+    sheet.title(f"Drawing, zones magnified {factor:g} times" if zones else "Drawing")
     sheet.legend()
     return sheet.done()

@@ -189,6 +189,14 @@ REFUSED = {
     "must be one number of the mechanism": {"parameters": {"gap": lambda rig: 2e-4}},
     r'output "crank" must be \(joint': {"outputs": {"crank": "O"}},
     "wear, which an FMU does not carry": {"mechanism": lambda: jc.scenes.slider_crank(wear=True)},
+    'output "a" returns None': {"outputs": {"a": lambda run: None}},
+    'name of "time" stands twice': {"outputs": {"time": ("O", "coordinate")}},
+    'name of "torque" stands twice': {
+        "inputs": {"torque": TORQUE},
+        "parameters": {"torque": CLEARANCE},
+    },
+    'number of "gap" stands twice': {"parameters": {"play": CLEARANCE, "gap": CLEARANCE}},
+    "a name in outputs of export_fmu is 3": {"outputs": {3: ("O", "coordinate")}},
     'target "amiga"': {"target": "amiga"},
     'kind "exchange"': {"kinds": "exchange"},
     'slope "gap"': {"parameters": {"play": CLEARANCE}, "slopes": "gap"},
@@ -201,6 +209,12 @@ def test_what_cannot_be_a_unit_is_refused(sentence, tmp_path):
     mechanism = asked.pop("mechanism", rig)()
     with pytest.raises(ValueError, match=sentence):
         jc.export_fmu(mechanism, tmp_path / "no.fmu", integrator=STEP, **asked)
+
+
+@pytest.mark.parametrize("path", ["crank", "crank.zip", "nowhere/crank.fmu"])
+def test_a_path_that_no_host_reads_is_refused(path, tmp_path):
+    with pytest.raises(ValueError, match=r'must end in "\.fmu", in a folder that there is'):
+        jc.export_fmu(rig(), tmp_path / path, integrator=STEP)
 
 
 def test_a_machine_without_a_compiler_is_told_what_to_install(monkeypatch, tmp_path):

@@ -238,6 +238,9 @@ def test_wrong_arguments_end_in_sentences(run, tmp_path):
     ):
         with pytest.raises(ValueError, match=sentence):
             plot.animate(run, meshes=meshes)
+    for trace in ("rod", ["rod"], True):
+        with pytest.raises(ValueError, match="trace"):
+            plot.animate(run, trace=trace)
     with pytest.raises(ValueError, match="slower of animate"):
         plot.animate(run, slower=0.0)
 

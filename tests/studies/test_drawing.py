@@ -44,6 +44,11 @@ def test_fits_have_their_limits_and_clearances():
     assert len(table) == 15
 
 
+@pytest.mark.parametrize("text", ["20H7/g6", "ø20 H7/g6", "⌀20H7 / g6", "20.0 H7/g6"])
+def test_a_fit_is_read_as_drawings_write_it(text):
+    assert (jc.fit(text).size, jc.fit(text).clearance) == (0.02, jc.fit("20 H7/g6").clearance)
+
+
 @pytest.mark.parametrize(
     ("how", "mean", "deviation"),
     [
@@ -226,6 +231,16 @@ def test_place_and_lean_of_a_bore_share_its_cylinder():
     assert np.corrcoef(ends[:, 0, 1], ends[:, 1, 1])[0, 1] == pytest.approx(0, abs=0.05)
 
 
+def test_a_zone_of_two_widths_has_a_row_for_each_and_a_cylinder_its_whole_law():
+    lines = {
+        "pin": T.Position(width=(10e-6, 20e-6), marker="bore.parent"),
+        "bore": T.Position(50e-6, marker="bore.child", length=0.04),
+    }
+    table = jc.Drawing(spatial(), lines).table()
+    np.testing.assert_allclose(table["upper"], [5e-6, 10e-6, 25e-6])
+    assert "near x" in table["distribution"][2]
+
+
 def test_a_direction_leans_by_the_width_over_the_length():
     own = jc.Drawing(spatial(), {"axis": T.Perpendicularity(20e-6, marker="bore.parent", over=0.1)})
     axis = lambda m: jnp.stack(
@@ -267,6 +282,7 @@ def test_lengths_without_a_tolerance_take_the_general_one():
 ROD = lambda m: m.connections["B"].parent.at[0]
 WRONG = {
     "class": (lambda: jc.fit("20 H7/v5x"), "is no fit"),
+    "two points": (lambda: jc.fit("2.0.5 H7/g6"), "is no fit"),
     "lacks": (lambda: jc.fit("12 H7/v6"), "no class v6 at 12 mm"),
     "range": (lambda: jc.fit("800 H7/g6"), "up to 500 mm"),
     "grade": (lambda: jc.fit("20 H19/g6"), "no grade 19"),

@@ -25,7 +25,7 @@ from jaxclear.components.beam import beam_of, wholes
 from jaxclear.components.body import GROUND, Marker
 from jaxclear.components.load import Gravity
 from jaxclear.ground.argument_errors import answering
-from jaxclear.ground.arguments import check_count, check_number
+from jaxclear.ground.arguments import check_count, check_number, expect
 from jaxclear.plot.animation.insets import Pushes, arrow, inset, pushes
 from jaxclear.plot.canvas import check_run
 from jaxclear.results.solids import Part, Triangles, checked_meshes, joined, parts, size_of
@@ -151,7 +151,7 @@ def animate(
     slower: float | None = None,
     fps: int = 60,
     meshes: Mapping[str, Any] | None = None,
-    trace: Sequence[Marker] = (),
+    trace: Marker | Sequence[Marker] = (),
     title: str | None = None,
 ) -> Animation:
     """An animation of a run in space, with a magnified view of every joint with clearance.
@@ -171,7 +171,7 @@ def animate(
             or (points [m], triangles), or several of these by name, as `jaxclear.read_shapes`
             returns them. Other bodies are cuboids with their inertia, no larger than the distance
             of their joints.
-        trace: markers whose path is drawn as a line; none by default.
+        trace: a marker, or several, whose path is drawn as a line; none by default.
         title: text above the page; None (default) for none.
 
     Returns:
@@ -185,6 +185,10 @@ def animate(
     if slower is not None:
         check_number("slower of animate", slower, above=0)
     check_count("fps of animate", fps)
+    trace = (trace,) if isinstance(trace, Marker) else trace
+    expect(trace, (tuple, list), "trace of animate", "a list of markers")
+    for marker in trace:
+        expect(marker, Marker, "an entry of trace", "a jaxclear.Marker")
     solids = checked_meshes(run, meshes)
     if importlib.util.find_spec("k3d") is None:
         raise ImportError('an animation needs k3d: python -m pip install "jaxclear[view]".')

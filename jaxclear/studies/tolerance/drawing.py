@@ -176,8 +176,9 @@ class Drawing(AbstractQuantified):
             feature, specification, own, limits = self.lines[name]
             law = own.distribution
             members = law.members if isinstance(law, Independent) else (law,)
-            labels = own.parts if len(own.parts) == len(limits) else [""] * len(limits)
-            for label, member, ends in zip(labels, members, limits, strict=False):
+            members = members if len(members) == len(limits) else (law,)
+            labels = own.parts if len(own.parts) == len(limits) else [""]
+            for label, member, ends in zip(labels, members, limits, strict=True):
                 row: dict[str, Any] = {"line": name, "feature": f"{feature} {label}".strip()}
                 row |= {"specification": specification}
                 row |= {"lower": float(ends[0]), "upper": float(ends[1])}
@@ -261,8 +262,9 @@ def _zone_line(
     bonus = _bonus(name, zone, fits)
     law = zone.law(plane)
     variable = ZoneVariable(zone, law, plane, bonus, datum, at)
-    ends = marginals_of(law)[0].quantile(jnp.array([0.0, 1.0]))
-    return Line(f"{marker.body} at {zone.marker}", zone.specification, variable, [tuple(ends)])
+    widths = marginals_of(law)[: len(zone.size) if isinstance(zone.size, tuple) else 1]
+    ends = [tuple(width.quantile(jnp.array([0.0, 1.0]))) for width in widths]
+    return Line(f"{marker.body} at {zone.marker}", zone.specification, variable, ends)
 
 
 def _bonus(name: str, zone: AbstractZone, fits: dict[str, Fit]) -> Bonus | None:

@@ -27,6 +27,7 @@ from jaxclear.studies.tolerance import iso286
 from jaxclear.studies.variable import AbstractMechanismVariable
 
 MILLI, MICRO = 1e-3, 1e-6
+FIT = re.compile(r"\s*[øØ⌀]?\s*(\d+(?:\.\d*)?)\s*([A-Z]+\d+)\s*/\s*([a-z]+\d+)\s*")
 KINDS = ("inspected", "normal", "uniform")
 HOLE, SHAFT = "hole", "shaft"
 
@@ -118,14 +119,19 @@ class Fit(AbstractTolerance):
     shaft: Capability | None = None
 
     def __check_init__(self):
-        match = re.fullmatch(r"\s*([\d.]+)\s+([A-Z]+\d+)\s*/\s*([a-z]+\d+)\s*", self.fit)
+        size, *codes = self._parts()
+        for code in codes:
+            iso286.limits(float(size), code)
+
+    def _parts(self) -> tuple[str, ...]:
+        """Size [mm], class of the hole and of the shaft. Raises `ValueError`."""
+        match = FIT.fullmatch(self.fit)
         if match is None:
             raise ValueError(
                 f"{described(self.fit)} is no fit; write the size in mm, the class of the hole and "
                 'that of the shaft, such as "20 H7/g6".'
             )
-        for code in match.groups()[1:]:
-            iso286.limits(float(match[1]), code)
+        return match.groups()
 
     @property
     def specification(self):
@@ -134,13 +140,13 @@ class Fit(AbstractTolerance):
     @property
     def size(self) -> float:
         """Nominal size [m]."""
-        return MILLI * float(self.fit.split()[0])
+        return MILLI * float(self._parts()[0])
 
     @property
     def classes(self) -> tuple[str, str]:
         """Class of the hole and class of the shaft."""
-        hole, shaft = self.fit.split(maxsplit=1)[1].split("/")
-        return hole.strip(), shaft.strip()
+        _, hole, shaft = self._parts()
+        return hole, shaft
 
     def with_classes(self, hole: str, shaft: str) -> "Fit":
         """The fit of the same size and processes with other classes.
@@ -152,7 +158,7 @@ class Fit(AbstractTolerance):
         Returns:
             The `Fit`.
         """
-        return Fit(f"{self.fit.split()[0]} {hole}/{shaft}", self.hole, self.shaft)
+        return Fit(f"{self._parts()[0]} {hole}/{shaft}", self.hole, self.shaft)
 
     def limits(self, side: int) -> tuple[float, float]:
         """Lower and upper limit deviation of a part [m].
@@ -163,7 +169,7 @@ class Fit(AbstractTolerance):
         Returns:
             The two.
         """
-        low, high = iso286.limits(float(self.fit.split()[0]), self.classes[side])
+        low, high = iso286.limits(float(self._parts()[0]), self.classes[side])
         return MICRO * low, MICRO * high
 
     @property
