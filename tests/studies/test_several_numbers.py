@@ -113,6 +113,14 @@ def test_the_worst_case_of_a_bent_response_over_two_discs_is_slsqps():
         assert end["response"].value == pytest.approx(sign * min(ends), abs=1e-9)
 
 
+def test_the_half_width_of_one_coordinate_is_half_of_the_radius():
+    """The mean of x^2 + y^2 over an ellipse of half axes a, b: (a^2 + b^2) / 4, by one a / 2."""
+    square = problem(lambda pin, gap: (pin[0] ** 2 + pin[1] ** 2) * 1e6)
+    by_axis = jc.sensitivity(square, "half width of pin x", sample=jc.monte_carlo(square, 512))
+    (slope,) = by_axis.derivatives.values()
+    assert slope.value == pytest.approx(0.5e6 * R, rel=0.1)
+
+
 def test_a_rare_shift_has_the_probability_of_its_segment():
     """Of a disc the part beyond a chord at h: (arccos h - h sqrt(1 - h^2)) / pi."""
     only = jc.FunctionProblem(
@@ -164,6 +172,7 @@ def test_rectangles_are_two_independent_numbers():
 
 
 WRONG = {
+    "derivative": (lambda: jc.sensitivity(problem(), "pin"), 'take a derivative by each: "pin x"'),
     "correlated": (
         lambda: problem(correlation={("pin", "gap"): 0.5}),
         "only variables of one number",

@@ -108,7 +108,8 @@ class BallMarginal(AbstractDistribution):
         return self.radius / (self.dimension + 2) ** 0.5
 
     def width(self):
-        return "radius", self.radius
+        # Of one coordinate alone: the radius is the width of all of them together.
+        return "half width", self.radius
 
 
 class Ball(AbstractJointDistribution):

@@ -22,7 +22,7 @@ import scipy
 
 from jaxclear.ground.arguments import check_name, check_number, expect
 from jaxclear.ground.numerics import safe_divide
-from jaxclear.ground.wording import described
+from jaxclear.ground.wording import described, listed
 from jaxclear.studies.endless import INSTEAD, check_told, finite_beside
 from jaxclear.studies.problem import Problem
 from jaxclear.studies.statistics.scrambled import ordinary_quantile, smooth_quantile
@@ -267,6 +267,9 @@ def directions(problem: Problem, wanted: list[str]) -> list[Direction]:
         if name not in known and near:
             what = marginals[near[-1]].width()[0]
             raise ValueError(f'no "{name}" in this problem; there is "{what} of {near[-1]}".')
+        if name in problem.variables and name not in known:
+            numbers = listed(one for one in problem.names if one.startswith(f"{name} "))
+            raise ValueError(f'"{name}" has several numbers; take a derivative by each: {numbers}.')
         check_name("variable", name, known, " in this problem")
     return [known[name] for name in wanted]
 
