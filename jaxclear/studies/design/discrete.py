@@ -52,8 +52,8 @@ def chosen(search: Search, relaxed: Candidate) -> Candidate:
             tried[which] = judged(one, place) if fixed else cheapest(one, [place])
         return tried[which]
 
-    moved = search.question.freedom.choices
-    near = [_near(own, relaxed.place[i], bool(moved[i].nominals)) for i, own in options.items()]
+    choices = search.question.freedom.choices
+    near = [_near(own, relaxed.place[i], bool(choices[i].nominals)) for i, own in options.items()]
     here = tuple(own[0] for own in near)
     bounded = isinstance(search.question.cost, dict)
     free = len(options) < len(search.low)
