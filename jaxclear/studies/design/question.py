@@ -168,7 +168,8 @@ def choice_of(kind: str, name: str, index: int, span: Any) -> Choice:
             f"{what} is {described(span)}; it must be (smallest, largest) or a jaxclear.catalogue."
         )
     low, high = span
-    check_number(f"smallest {what}", low, above=0.0 if kind == TOLERANCE else None)
+    bounds: dict[str, Any] = {"above": 0} if kind == TOLERANCE else {}
+    check_number(f"smallest {what}", low, **bounds)
     check_number(f"largest {what}", high, above=float(low))
     return Choice(kind, index, float(low), float(high))
 
