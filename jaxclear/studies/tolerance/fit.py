@@ -164,7 +164,7 @@ class Fit(AbstractTolerance):
         """Lower and upper limit deviation of a part [m].
 
         Args:
-            side: 0 for the hole, 1 for the shaft.
+            side: index of the part, 0 for the hole, 1 for the shaft.
 
         Returns:
             The two.
