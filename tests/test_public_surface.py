@@ -118,14 +118,14 @@ INNER = {
     "AreaMap",
     "AsNeeded",
     "CylinderMap",
+    "FitSizes",
     "ImpactMemory",
-    "_FitSizes",
     "_ServoOnMotor",
-    "_ZoneVariable",
     "PeriodicTorque",
     "SphereMap",
     "StepTorque",
     "WallMap",
+    "ZoneVariable",
 }
 # A folder of samples remembers its problem by one.
 INNER |= {"RecordedExperiment", "RecordedVariable", "StateGroup"}

@@ -3,6 +3,7 @@
 A design first takes any width in their range, and then the best of those that there are.
 """
 
+import re
 from abc import abstractmethod
 from typing import Any
 
@@ -15,11 +16,13 @@ from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity, vecto
 from jaxclear.ground.wording import described
 from jaxclear.studies.tolerance import iso286
 
-__all__ = ["ISO286", "AbstractCatalogue", "Sizes"]
+__all__ = ["ISO286", "AbstractCatalogue", "Fits", "Sizes"]
 __getattr__, __dir__ = nothing_else("jaxclear.catalogue", __all__)
 
 MILLI, MICRO = 1e-3, 1e-6
 FINEST, COARSEST = 5, 18
+# Grades of one letter of the hole, and of one of the shaft.
+FITS = re.compile(r"([A-Z]{1,2})(\d+)(?:\.\.\1(\d+))?/([a-z]{1,2})(\d+)(?:\.\.\4(\d+))?")
 
 
 class AbstractCatalogue(AbstractQuantified):
@@ -95,6 +98,38 @@ class ISO286(AbstractCatalogue):
     def label(self, number):
         grade = self.grades[int(np.argmin(np.abs(np.subtract(self.numbers(), number))))]
         return f"IT{grade}"
+
+
+class Fits(AbstractQuantified):
+    """Classes of hole and shaft among which a fit of a drawing is chosen (`choose` of `design`).
+
+    Mean sizes and limits of both parts are those of the class, whatever its grade.
+
+    Args:
+        classes: ranges of grades of the hole and of the shaft, such as "H6..H8/g5..g7", a text; a
+            single class, as in "H7/g5..g7", stays as it is on the drawing.
+
+    Raises:
+        ValueError: if the text is no such ranges, or one of them is empty.
+    """
+
+    classes: str = eqx.field(static=True)
+    holes: tuple[str, ...] = eqx.field(static=True)
+    shafts: tuple[str, ...] = eqx.field(static=True)
+
+    def __init__(self, classes: str):
+        match = FITS.fullmatch(classes.replace(" ", "")) if isinstance(classes, str) else None
+        parts = match.groups() if match else ("", "1", "0") * 2
+        self.classes = classes
+        self.holes, self.shafts = (
+            tuple(f"{letter}{grade}" for grade in range(int(first), int(last or first) + 1))
+            for letter, first, last in (parts[:3], parts[3:])
+        )
+        if not self.holes or not self.shafts:
+            raise ValueError(
+                f"catalogue.Fits has no fit in {described(classes)}; write grades of one letter of "
+                'the hole and one of the shaft, the finer first, such as "H6..H8/g5..g7".'
+            )
 
 
 def standard_width(size: float, grade: int) -> float:

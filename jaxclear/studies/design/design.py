@@ -15,6 +15,7 @@ import numpy as np
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_count, check_flags, expect
 from jaxclear.studies.design.limit import AbstractLimit
+from jaxclear.studies.design.lines import cost_by_number, line_choices
 from jaxclear.studies.design.question import Question, checked_cost, checked_limits, freedom_of
 from jaxclear.studies.design.result import Design, prices_of
 from jaxclear.studies.design.runs import BATCH, Runs
@@ -34,6 +35,7 @@ def design(
     *,
     tolerance: Mapping[str, Any] | None = None,
     nominal: Mapping[str, Any] | None = None,
+    choose: Mapping[str, Any] | None = None,
     settings: DesignSettings | None = None,
     store: str | Path | None = None,
     progress_bar: bool = False,
@@ -52,6 +54,9 @@ def design(
             or a member of `jaxclear.catalogue`. A tolerance scales the variable's distribution; it
             is half of its range (three standard deviations where it has no ends). None by default.
         nominal: nominal values to choose, by name of the variable, likewise. None by default.
+        choose: lines of a `jaxclear.Drawing` to choose, by name: a `jaxclear.catalogue.Fits` for a
+            fit, whose costs go by "name hole" and "name shaft"; (smallest, largest) size [m] of a
+            zone, or a `Sizes`, whose cost goes by "name". None by default.
         settings: `DesignSettings` of the search; None for the defaults.
         store: folder that keeps the runs; None (default) for none.
         progress_bar: whether to show the progress; False by default.
@@ -62,7 +67,7 @@ def design(
     Raises:
         ValueError: if an argument is wrong.
     """
-    asked = _asked(problem, cost, limits, tolerance, nominal)
+    asked = _asked(problem, cost, limits, tolerance, nominal, choose)
     settings = _settings(settings)
     check_flags("design", progress_bar=progress_bar)
     return _designed(asked, _runs(problem, settings, progress_bar), settings)
@@ -93,8 +98,8 @@ def design_front(
         limit: index of the limit that has these bounds; 0 by default.
         settings: `DesignSettings` of the search; None for the defaults.
         store: folder that keeps the runs; None (default) for none.
-        choices: `tolerance`, `nominal` and `progress_bar`, a dictionary each or whether, as of
-            `design`.
+        choices: `tolerance`, `nominal`, `choose` and `progress_bar`, a dictionary each or whether,
+            as of `design`.
 
     Returns:
         A list of `Design`, one for each bound.
@@ -102,7 +107,7 @@ def design_front(
     Raises:
         ValueError: if an argument is wrong.
     """
-    unknown = set(choices) - {"tolerance", "nominal", "progress_bar"}
+    unknown = set(choices) - {"tolerance", "nominal", "choose", "progress_bar"}
     if unknown:
         raise TypeError(
             f'design_front has no argument "{sorted(unknown)[0]}"; beside bounds and limit it '
@@ -110,7 +115,8 @@ def design_front(
         )
     show = choices.pop("progress_bar", False)
     check_flags("design_front", progress_bar=show)
-    asked = _asked(problem, cost, limits, choices.get("tolerance"), choices.get("nominal"))
+    free = [choices.get(name) for name in ("tolerance", "nominal", "choose")]
+    asked = _asked(problem, cost, limits, *free)
     check_count("limit of design_front", limit, at_least=0)
     if limit >= len(asked.limits):
         raise ValueError(f"there is no limit {limit}; there are {len(asked.limits)}, from 0 on.")
@@ -124,10 +130,13 @@ def design_front(
     return found
 
 
-def _asked(problem: Any, cost: Any, limits: Any, tolerance: Any, nominal: Any) -> Question:
+def _asked(
+    problem: Any, cost: Any, limits: Any, tolerance: Any, nominal: Any, choose: Any
+) -> Question:
     """The question, checked."""
     expect(problem, Problem, "what is designed", "a problem of jaxclear")
-    freedom = freedom_of(problem, nominal, tolerance)
+    freedom = freedom_of(problem, nominal, tolerance, line_choices(problem, choose))
+    cost = cost_by_number(problem, choose, cost)
     checked = checked_limits(limits, problem)
     return Question(
         freedom, checked_cost(cost, freedom), checked, problem.inputs, np.ones(len(checked))

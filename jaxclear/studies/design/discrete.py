@@ -1,7 +1,8 @@
 """The best of what can only be chosen: sizes of catalogues, and processes where costs offer them.
 
 Each choice is an option, the places that it leaves a number: one for a size, a range for a process.
-Of all combinations (of a catalogue the two sizes about the relaxed optimum) those are searched that
+Of all combinations (of a catalogue the two sizes about the relaxed optimum, of a fit all classes,
+whose means move with them) those are searched that
 may be cheaper than the best so far, by their cost at the widest tolerances (the tighter, the
 dearer), and that may keep the limits. Where these are too many, one number after the other is
 changed while that helps.
@@ -51,7 +52,8 @@ def chosen(search: Search, relaxed: Candidate) -> Candidate:
             tried[which] = judged(one, place) if fixed else cheapest(one, [place])
         return tried[which]
 
-    near = [_near(own, relaxed.place[i]) for i, own in options.items()]
+    choices = search.question.freedom.choices
+    near = [_near(own, relaxed.place[i], bool(choices[i].nominals)) for i, own in options.items()]
     here = tuple(own[0] for own in near)
     bounded = isinstance(search.question.cost, dict)
     free = len(options) < len(search.low)
@@ -99,11 +101,11 @@ def _options(search: Search) -> dict[int, list[Option]]:
     return found
 
 
-def _near(options: list[Option], place: float) -> list[int]:
+def _near(options: list[Option], place: float, every: bool) -> list[int]:
     """Of a catalogue the sizes on either side of a place, the tighter first, which keeps limits
-    wherever less width is the safer; all processes, the one that holds it or is nearest to it
-    first."""
-    if options[0].process is None:
+    wherever less width is the safer; all processes, or all sizes if `every`, the one that holds it
+    or is nearest to it first."""
+    if options[0].process is None and not every:
         after = int(np.searchsorted([own.low for own in options], place))
         after = min(max(after, 1), len(options) - 1)
         return [after - 1, after]

@@ -32,7 +32,9 @@ SAME_NUMBER = 1e-12
 class Choice(NamedTuple):
     """A free number: of which variable (index), whether its nominal value or its tolerance, its
     range, and what there is to choose from, rising, with what that is called (none: anything
-    within)."""
+    within). `others` are further variables that have the same tolerance; `nominals` the nominal
+    value that belongs to each offered tolerance (none: it stays), and `usual` the tolerance that
+    the problem has then (None: that of the distribution)."""
 
     kind: str
     variable: int
@@ -40,6 +42,9 @@ class Choice(NamedTuple):
     high: float
     offered: tuple[float, ...] = ()
     labels: tuple[str, ...] = ()
+    others: tuple[int, ...] = ()
+    nominals: tuple[float, ...] = ()
+    usual: float | None = None
 
 
 class Freedom(eqx.Module):
@@ -66,7 +71,11 @@ class Freedom(eqx.Module):
         numbers = {NOMINAL: jnp.asarray(self.start), TOLERANCE: jnp.asarray(self.usual)}
         for i, choice in enumerate(self.choices):
             own = _between(choice, place[i])
-            numbers[choice.kind] = numbers[choice.kind].at[choice.variable].set(own)
+            columns = np.array((choice.variable, *choice.others))
+            numbers[choice.kind] = numbers[choice.kind].at[columns].set(own)
+            if choice.nominals:
+                mean = jnp.interp(own, np.array(choice.offered), np.array(choice.nominals))
+                numbers[NOMINAL] = numbers[NOMINAL].at[choice.variable].set(mean)
         return numbers[NOMINAL], numbers[TOLERANCE]
 
     def drawn(self, place: Float[Array, " size"]) -> tuple[np.ndarray, np.ndarray]:
@@ -77,7 +86,7 @@ class Freedom(eqx.Module):
             own = numbers[choice.kind]
             for number in choice.offered:
                 if np.isclose(own[choice.variable], number, rtol=SAME_NUMBER, atol=0.0):
-                    own[choice.variable] = number
+                    own[[choice.variable, *choice.others]] = number
         return numbers[NOMINAL], numbers[TOLERANCE]
 
     def encoded(self, nominal: np.ndarray, tolerance: np.ndarray) -> np.ndarray:
@@ -118,25 +127,35 @@ def usual_tolerance(distribution: Any) -> float:
     return 0.5 * (ends[1] - ends[0])
 
 
-def freedom_of(problem: Any, nominal: Mapping | None, tolerance: Mapping | None) -> Freedom:
-    """What a user leaves open. Raises `ValueError` with a sentence for what cannot be."""
+def freedom_of(problem: Any, nominal: Any, tolerance: Any, lines: Sequence[Choice]) -> Freedom:
+    """What a user leaves open; `lines` are choices of lines of a drawing. Raises `ValueError` with
+    a sentence for what cannot be."""
     names = problem.names
-    choices = []
+    choices = list(lines)
+    chosen = {names[i] for own in choices for i in (own.variable, *own.others)}
     for kind, given in ((NOMINAL, nominal), (TOLERANCE, tolerance)):
         expect(given or {}, Mapping, f"{kind} of design", "a dictionary from names of variables")
         for name, span in (given or {}).items():
             check_name("variable", name, names, " in this problem")
-            choices.append(_choice(kind, name, names.index(name), span))
+            if name in chosen:
+                raise ValueError(
+                    f'"{name}" is in `{kind}` and of a line in `choose`; leave out one.'
+                )
+            choices.append(choice_of(kind, name, names.index(name), span))
     if not choices:
         raise ValueError(
             "nothing is left open: give design a `tolerance` or a `nominal` with bounds, such as "
             f'tolerance={{"{names[0] if names else "name"}": (1e-6, 1e-4)}}.'
         )
-    usual = list(map(usual_tolerance, problem.inputs.distributions))
-    return Freedom(tuple(choices), names, np.asarray(problem.nominal()), np.array(usual))
+    usual = np.array(list(map(usual_tolerance, problem.inputs.distributions)))
+    for choice in lines:
+        usual[choice.variable] = choice.usual or usual[choice.variable]
+    return Freedom(tuple(choices), names, np.asarray(problem.nominal()), usual)
 
 
-def _choice(kind, name, index, span):
+def choice_of(kind: str, name: str, index: int, span: Any) -> Choice:
+    """The free number that a user states by bounds or a catalogue. Raises `ValueError` with a
+    sentence for what is neither."""
     what = f'{kind} of "{name}"'
     if isinstance(span, AbstractCatalogue):
         numbers = span.numbers()
@@ -149,7 +168,8 @@ def _choice(kind, name, index, span):
             f"{what} is {described(span)}; it must be (smallest, largest) or a jaxclear.catalogue."
         )
     low, high = span
-    check_number(f"smallest {what}", low, **({"above": 0} if kind == TOLERANCE else {}))
+    bounds: dict[str, Any] = {"above": 0} if kind == TOLERANCE else {}
+    check_number(f"smallest {what}", low, **bounds)
     check_number(f"largest {what}", high, above=float(low))
     return Choice(kind, index, float(low), float(high))
 

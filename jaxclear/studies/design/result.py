@@ -240,7 +240,8 @@ class Design(AbstractAnswer):
         freedom, over = self.question.freedom, (VARIABLE,)
         free: dict[str, dict[str, int]] = {name: {} for name in freedom.names}
         for i, choice in enumerate(freedom.choices):
-            free[freedom.names[choice.variable]][choice.kind] = i
+            for variable in (choice.variable, *choice.others):
+                free[freedom.names[variable]][choice.kind] = i
         named = lambda own: " ".join(filter(None, map(self.label, own.values())))
         units = zip(freedom.names, self.problem.variable_units, strict=True)
         columns = {

@@ -56,7 +56,7 @@ class Bonus(eqx.Module):
         return jnp.maximum(self.sign * (size - self.limit), 0.0)
 
 
-class _ZoneVariable(AbstractMechanismVariable):
+class ZoneVariable(AbstractMechanismVariable):
     """Where in its zone a marker is: one or several numbers [m, rad] about the zone's middle."""
 
     zone: AbstractZone
@@ -264,7 +264,7 @@ def _zone_line(
         datum = None if at is None else datum
     bonus = _bonus(name, zone, fits)
     law = zone.law(plane)
-    variable = _ZoneVariable(zone, law, plane, bonus, datum, at)
+    variable = ZoneVariable(zone, law, plane, bonus, datum, at)
     widths = marginals_of(law)[: len(zone.size) if isinstance(zone.size, tuple) else 1]
     ends = [tuple(width.quantile(jnp.array([0.0, 1.0]))) for width in widths]
     return Line(f"{marker.body} at {zone.marker}", zone.specification, variable, ends)

@@ -142,20 +142,45 @@ class Fit(AbstractTolerance):
         """Nominal size [m]."""
         return MILLI * float(self._parts()[0])
 
-    def _limits(self, place: int) -> tuple[float, float]:
-        size, *codes = self._parts()
-        low, high = iso286.limits(float(size), codes[place])
+    @property
+    def classes(self) -> tuple[str, str]:
+        """Class of the hole and class of the shaft."""
+        _, hole, shaft = self._parts()
+        return hole, shaft
+
+    def with_classes(self, hole: str, shaft: str) -> "Fit":
+        """The fit of the same size and processes with other classes.
+
+        Args:
+            hole: class of the hole, such as "H7".
+            shaft: class of the shaft, such as "g6".
+
+        Returns:
+            The `Fit`.
+        """
+        return Fit(f"{self._parts()[0]} {hole}/{shaft}", self.hole, self.shaft)
+
+    def limits(self, side: int) -> tuple[float, float]:
+        """Lower and upper limit deviation of a part [m].
+
+        Args:
+            side: 0 for the hole, 1 for the shaft.
+
+        Returns:
+            The two.
+        """
+        low, high = iso286.limits(float(self._parts()[0]), self.classes[side])
         return MICRO * low, MICRO * high
 
     @property
     def hole_limits(self) -> tuple[float, float]:
         """Lower and upper limit deviation of the hole [m]."""
-        return self._limits(0)
+        return self.limits(0)
 
     @property
     def shaft_limits(self) -> tuple[float, float]:
         """Lower and upper limit deviation of the shaft [m]."""
-        return self._limits(1)
+        return self.limits(1)
 
     @property
     def clearance(self) -> tuple[float, float]:
@@ -179,7 +204,7 @@ class Fit(AbstractTolerance):
                 "play; parts that are pressed together are an ideal joint, or one body."
             )
 
-    def sizes(self, joint: str) -> "_FitSizes":
+    def sizes(self, joint: str) -> "FitSizes":
         """The variable of a joint with this fit.
 
         Args:
@@ -194,24 +219,26 @@ class Fit(AbstractTolerance):
             shift, law = (process or Capability()).spread(high - low, towards)
             means.append(self.size + 0.5 * (low + high) + shift)
             laws.append(law)
-        return _FitSizes(joint, jnp.stack(list(map(jnp.asarray, means))), laws)
+        return FitSizes(joint, jnp.stack(list(map(jnp.asarray, means))), laws, self)
 
 
-class _FitSizes(AbstractMechanismVariable):
+class FitSizes(AbstractMechanismVariable):
     """Diameters of the hole and the shaft of a joint with clearance, two numbers of one variable.
 
     Args:
         joint: name of the joint.
         means: mean diameter of hole and shaft [m], 2 numbers.
         laws: distribution of either about its mean, a sequence of 2.
+        fit: the `Fit` that has them.
     """
 
     joint: str = eqx.field(static=True)
     means: Array
     distribution: Independent
+    fit: Fit
 
-    def __init__(self, joint: str, means: Any, laws: Any):
-        self.joint, self.means = joint, jnp.asarray(means)
+    def __init__(self, joint: str, means: Any, laws: Any, fit: Fit):
+        self.joint, self.means, self.fit = joint, jnp.asarray(means), fit
         self.distribution = Independent((HOLE, SHAFT), laws)
 
     def nominal_in(self, subject):
