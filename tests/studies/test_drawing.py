@@ -282,6 +282,10 @@ def test_lengths_without_a_tolerance_take_the_general_one():
 ROD = lambda m: m.connections["B"].parent.at[0]
 WRONG = {
     "class": (lambda: jc.fit("20 H7/v5x"), "is no fit"),
+    "general class": (
+        lambda: jc.Drawing(RIG, {"B": "20 H7/g6"}, general="ISO 2768-q"),
+        "must be a class of ISO 2768-1",
+    ),
     "two points": (lambda: jc.fit("2.0.5 H7/g6"), "is no fit"),
     "lacks": (lambda: jc.fit("12 H7/v6"), "no class v6 at 12 mm"),
     "range": (lambda: jc.fit("800 H7/g6"), "up to 500 mm"),

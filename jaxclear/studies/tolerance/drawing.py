@@ -139,6 +139,9 @@ class Drawing(AbstractQuantified):
     ):
         expect(mechanism, Mechanism, "mechanism of a Drawing", "a jaxclear.Mechanism")
         expect(lines, Mapping, "lines of a Drawing", "a dictionary from names")
+        if general is not None and not GENERAL.fullmatch(str(general)):
+            wrong = f"general of a Drawing is {described(general)}"
+            raise ValueError(f'{wrong}; it must be a class of ISO 2768-1, such as "ISO 2768-m".')
         own = {name: Fit(one) if isinstance(one, str) else one for name, one in lines.items()}
         for name, one in own.items():
             which = 'a fit such as "20 H7/g6", or one of jaxclear.tolerance'
