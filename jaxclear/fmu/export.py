@@ -109,8 +109,8 @@ def export_fmu(
         interval: usual communication step [s], > 0.
         target: system that the unit is for: "x86_64-linux", "aarch64-linux", "x86_64-windows",
             "x86_64-darwin" or "aarch64-darwin"; by default this one.
-        cpu: processor that the code is for, by LLVM's name; by default "x86-64-v3" (2013 and
-            later), of ARM one that all have.
+        cpu: processor that the code is for: "x86-64", "x86-64-v2", "x86-64-v3" (2013 and later,
+            the default) or "x86-64-v4"; of ARM one that all have.
 
     Returns:
         What was exported, a `Fmu`.
@@ -134,6 +134,8 @@ def export_fmu(
         for name in value or {}:
             expect(name or None, str, f"a name in {what} of export_fmu", "a text")
     system, file = checked_target(target), Path(path)
+    names = TARGETS[system]
+    check_name("cpu", cpu or names.cpus[0], names.cpus, " of export_fmu")
     if file.suffix != ".fmu" or not file.parent.is_dir():
         raise ValueError(NO_PATH.format(path=file))
     mechanism, integrator = with_quantities((mechanism, integrator))
@@ -141,9 +143,9 @@ def export_fmu(
     steps = load_steps(mechanism, integrator, times)
     unit = Unit(mechanism, steps.integrator, outputs, tuple(slopes), (duration, interval))
     unit.add_numbers(inputs or {}, parameters or {})
-    names, made = TARGETS[system], io.BytesIO()
+    made = io.BytesIO()
     header = unit.assemble("model exchange" in kinds)
-    code = object_file(list(unit.made.values()), names.triple, cpu or names.cpu)
+    code = object_file(list(unit.made.values()), names.triple, cpu or names.cpus[0])
     with zipfile.ZipFile(made, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("modelDescription.xml", description(unit, file.stem, kinds))
         place = f"binaries/{system}/{IDENTIFIER}.{names.ending}"

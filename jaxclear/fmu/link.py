@@ -16,21 +16,22 @@ from jaxclear.ground.arguments import check_name
 
 
 class Target(NamedTuple):
-    """A system by FMI's name: by LLVM's and Zig's, the end of a library's name, and the processor
-    for which code is written."""
+    """A system by FMI's name: by LLVM's and Zig's, the end of a library's name, and the processors
+    for which code may be written, the usual one first."""
 
     triple: str
     zig: str
     ending: str
-    cpu: str
+    cpus: tuple[str, ...]
 
 
+X86 = ("x86-64-v3", "x86-64", "x86-64-v2", "x86-64-v4")
 TARGETS = {
-    "x86_64-linux": Target("x86_64-unknown-linux-gnu", "x86_64-linux-gnu", "so", "x86-64-v3"),
-    "aarch64-linux": Target("aarch64-unknown-linux-gnu", "aarch64-linux-gnu", "so", "generic"),
-    "x86_64-windows": Target("x86_64-w64-windows-gnu", "x86_64-windows-gnu", "dll", "x86-64-v3"),
-    "x86_64-darwin": Target("x86_64-apple-macosx11.0", "x86_64-macos", "dylib", "x86-64-v3"),
-    "aarch64-darwin": Target("arm64-apple-macosx11.0", "aarch64-macos", "dylib", "apple-m1"),
+    "x86_64-linux": Target("x86_64-unknown-linux-gnu", "x86_64-linux-gnu", "so", X86),
+    "aarch64-linux": Target("aarch64-unknown-linux-gnu", "aarch64-linux-gnu", "so", ("generic",)),
+    "x86_64-windows": Target("x86_64-w64-windows-gnu", "x86_64-windows-gnu", "dll", X86),
+    "x86_64-darwin": Target("x86_64-apple-macosx11.0", "x86_64-macos", "dylib", X86),
+    "aarch64-darwin": Target("arm64-apple-macosx11.0", "aarch64-macos", "dylib", ("apple-m1",)),
 }
 NO_COMPILER = (
     'an FMU for {target} needs a C compiler here: python -m pip install "jaxclear[fmu]" installs '

@@ -198,6 +198,7 @@ REFUSED = {
     'number of "gap" stands twice': {"parameters": {"play": CLEARANCE, "gap": CLEARANCE}},
     "a name in outputs of export_fmu is 3": {"outputs": {3: ("O", "coordinate")}},
     'target "amiga"': {"target": "amiga"},
+    'cpu "z80"': {"cpu": "z80"},
     'kind "exchange"': {"kinds": "exchange"},
     'slope "gap"': {"parameters": {"play": CLEARANCE}, "slopes": "gap"},
 }

@@ -17,7 +17,7 @@ from jaxclear.plot.overview import FIGURES
 from tests.plot.identified import identified
 
 # Where a run begins is no result that could be drawn.
-NO_RESULTS = {"Problem", "State"}
+NO_RESULTS = {"Capability", "Fit", "Problem", "State"}
 
 
 def stack(a, b):

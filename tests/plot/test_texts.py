@@ -265,6 +265,16 @@ def advised():
 
 SUNK = jc.limit_state.Above(FORCE, 1.23e6)
 VERDICT = "Agreed by pathwise and regression with a surface; not by differences. "
+def drawn():
+    rig = jc.scenes.slider_crank()
+    lines = {
+        "B": jc.fit("20 H7/f7"),
+        f"hole of the {ROD}": jc.tolerance.Position(5e-5, marker="B.parent", at_mmc="B"),
+        f"hole of the {CRANK}": jc.tolerance.Position(1e-4, marker="A.parent"),
+    }
+    return jc.Drawing(rig, lines)
+
+
 CASES = {
     "angular_velocity": [lambda: plot.angular_velocity(run(), run(), ROD, f"with a loose {JOINT}")],
     "bifurcation": [
@@ -280,6 +290,7 @@ CASES = {
             {f"clearance {k} of {JOINT}": run() for k in range(5)}, run(), SLIDER
         )
     ],
+    "drawing": [lambda: plot.drawing(drawn())],
     "error_budget": [lambda: plot.error_budget(sample(3000))],
     "hysteresis": [lambda: plot.hysteresis(run(), JOINT)],
     "journal_ends": [lambda: plot.journal_ends(tilting(), JOINT)],

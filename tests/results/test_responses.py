@@ -29,6 +29,7 @@ def test_responses_are_what_their_names_say(run):
     covered = {type(response) for response in expected} | {
         jc.response.FromFunction,
         jc.response.LargestDeflection,  # of beams: tests/multibody/test_beams.py
+        jc.response.LargestError,  # of drawings: tests/studies/test_drawing.py
         jc.response.LostMotion,  # of positions: tests/simulation/test_positions.py
         jc.response.PeakContactForce,  # below
         jc.response.PeakTransmitted,  # of couplings: tests/multibody/test_play.py
