@@ -25,6 +25,7 @@ COUNTS = {"quaternion": 4}  # numbers of a vector where they are not 3
 BIG_ENOUGH = {"outer_radius": 2.0}  # numbers that another one bounds
 # Numbers that bound each other.
 TOGETHER = {
+    "nominal": 1.0,
     "tolerances": (1e-5, 2e-5),
     "costs": (2.0, 1.0),
     "deviations": (0.0, 1.0),

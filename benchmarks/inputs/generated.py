@@ -138,6 +138,7 @@ PLACES += ("response", "stiffness", "wear", "complementarity")
 # connection's for a tuple of one.
 ALLOWED = {("Body", "inertia", "one number"), ("Torque", "value", "one number")}
 ALLOWED |= {("PointingAngle", "tip", "text"), ("PointingAngle", "through", "text")}
+ALLOWED |= {("PositionError", "body", "text")}
 # Made by the package alone, from what it has checked: reports, states and problems of a step.
 INNER = {"Trajectory", "Solution", "Iterate", "JointFriction", "FrictionContact", "LCP", "Advance"}
 INNER |= {"HorizontalLCP", "Interval", "GroupTerm", "PermanentRevolute", "PermanentPrismatic"}

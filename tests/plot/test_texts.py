@@ -265,6 +265,8 @@ def advised():
 
 SUNK = jc.limit_state.Above(FORCE, 1.23e6)
 VERDICT = "Agreed by pathwise and regression with a surface; not by differences. "
+
+
 def drawn():
     rig = jc.scenes.slider_crank()
     lines = {

@@ -119,11 +119,11 @@ class Fit(AbstractTolerance):
     shaft: Capability | None = None
 
     def __check_init__(self):
-        size, *codes = self._parts()
+        size, *codes = self._read()
         for code in codes:
             iso286.limits(float(size), code)
 
-    def _parts(self) -> tuple[str, ...]:
+    def _read(self) -> tuple[str, ...]:
         """Size [mm], class of the hole and of the shaft. Raises `ValueError`."""
         match = FIT.fullmatch(self.fit)
         if match is None:
@@ -140,12 +140,12 @@ class Fit(AbstractTolerance):
     @property
     def size(self) -> float:
         """Nominal size [m]."""
-        return MILLI * float(self._parts()[0])
+        return MILLI * float(self._read()[0])
 
     @property
     def classes(self) -> tuple[str, str]:
         """Class of the hole and class of the shaft."""
-        _, hole, shaft = self._parts()
+        _, hole, shaft = self._read()
         return hole, shaft
 
     def with_classes(self, hole: str, shaft: str) -> "Fit":
@@ -158,7 +158,7 @@ class Fit(AbstractTolerance):
         Returns:
             The `Fit`.
         """
-        return Fit(f"{self._parts()[0]} {hole}/{shaft}", self.hole, self.shaft)
+        return Fit(f"{self._read()[0]} {hole}/{shaft}", self.hole, self.shaft)
 
     def limits(self, side: int) -> tuple[float, float]:
         """Lower and upper limit deviation of a part [m].
@@ -169,7 +169,7 @@ class Fit(AbstractTolerance):
         Returns:
             The two.
         """
-        low, high = iso286.limits(float(self._parts()[0]), self.classes[side])
+        low, high = iso286.limits(float(self._read()[0]), self.classes[side])
         return MICRO * low, MICRO * high
 
     @property
