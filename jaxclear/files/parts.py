@@ -58,7 +58,7 @@ from jaxclear.results.response import PositionError
 from jaxclear.simulation.saving import Saving
 from jaxclear.studies.distribution import Empirical, FromScipy
 from jaxclear.studies.tolerance import Size
-from jaxclear.studies.variable import AbstractMechanismVariable, Condition, Heating, Variable
+from jaxclear.studies.variable import Condition, Heating, Variable
 
 KIND = "kind"
 # What a class may refuse its arguments with.
@@ -304,7 +304,7 @@ INSTEAD: dict[type, tuple[Callable[..., Any], dict[str, Argument]]] = {
     ),
 }
 # The class of a mapping that says no kind, where it is not the only one.
-USUAL: Mapping[Any, type] = MappingProxyType({AbstractMechanismVariable: Variable, Body: Body})
+USUAL: Mapping[Any, type] = MappingProxyType({Variable: Variable, Body: Body})
 # The argument for which a text alone stands.
 ALONE: Mapping[Any, str] = MappingProxyType({Marker: "body"})
 

@@ -59,7 +59,7 @@ from jaxclear.studies.problem import Problem
 from jaxclear.studies.responses import by_name
 from jaxclear.studies.tolerance import AbstractTolerance
 from jaxclear.studies.tolerance.drawing import Drawing
-from jaxclear.studies.variable import AbstractMechanismVariable
+from jaxclear.studies.variable import Condition, Variable
 
 SEATED = "seated"
 
@@ -299,7 +299,7 @@ TOP: dict[str, AbstractForm] = {
     "drawing": ByName(Choice((Text(), Part((AbstractTolerance,), spelled_out=True)))),
     "general": Text(),
     "mechanism": Part((Mechanism,)),
-    "variables": ByName(Part((AbstractMechanismVariable,))),
+    "variables": ByName(Part((Variable, Condition))),
     "responses": ByName(Part((AbstractResponse,))),
     "correlation": Choice((PAIRS, NumberArray())),
 }

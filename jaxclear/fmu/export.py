@@ -109,8 +109,8 @@ def export_fmu(
         interval: usual communication step [s], > 0.
         target: system that the unit is for: "x86_64-linux", "aarch64-linux", "x86_64-windows",
             "x86_64-darwin" or "aarch64-darwin"; by default this one.
-        cpu: processor that the code is for: "x86-64", "x86-64-v2", "x86-64-v3" (2013 and later,
-            the default) or "x86-64-v4"; of ARM one that all have.
+        cpu: name of the processor that the code is for: "x86-64", "x86-64-v2", "x86-64-v3" (2013
+            and later, the default) or "x86-64-v4"; of ARM one that all have.
 
     Returns:
         What was exported, a `Fmu`.
