@@ -197,7 +197,7 @@ def finite(lasting):
 
 def question_of(problem, *limits):
     """A design's question with these limits of a problem."""
-    freedom = freedom_of(problem, {"hardness": (-1.0, 4.0)}, None)
+    freedom = freedom_of(problem, {"hardness": (-1.0, 4.0)}, None, ())
     return Question(freedom, lambda *_: 1.0, limits, problem.inputs, np.ones(len(limits)))
 
 
