@@ -133,7 +133,7 @@ class Part(AbstractForm):
         if kind not in kinds.values():
             refuse(path, _no_data(thing, kinds))
         values: dict[str, Any] = {}
-        if self.families != (kind,) and kind not in USUAL:
+        if self.families != (kind,) and kind is not Body:
             values[KIND] = kind.__name__
         for name, arg in arguments(kind).items():
             value, place = arg.read_from(thing), f"{path}.{name}" if path else name
