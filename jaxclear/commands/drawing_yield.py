@@ -2,7 +2,6 @@
 each line of the drawing contributes, and the worst case."""
 
 from pathlib import Path
-from typing import Any
 
 import click
 
@@ -51,32 +50,29 @@ def drawing_yield(
             check_name("response", name, content.responses, " in this scene")
         timed = content.positions is None
         resting = (content.at_rest() if timed else content).problem()
-        moving = content.problem() if timed else None
+        problems = {"at rest": (resting, MORE_AT_REST * samples)}
+        if timed:
+            problems["in motion"] = content.problem(), samples
         click.echo(f"{drawn}\n")
-        shares: dict[str, Any] = {}
-        rows = []
-        for title, problem, count in (("at rest", resting, MORE_AT_REST), ("in motion", moving, 1)):
-            if problem is None:
-                continue
-            study = jc.monte_carlo(problem, count * samples, progress_bar=show)
+        shares, rows = {}, []
+        for title, (problem, count) in problems.items():
+            study = jc.monte_carlo(problem, count, progress_bar=show)
             click.echo(f"Yield {title}: {study.share_within(limits)}. {study.sentence()}")
-            of: Any = problem if count > 1 else jc.surface(problem, study)
             shares[title] = (
-                jc.sobol_indices(of, samples // 2) if count > 1 else jc.sobol_indices(of)
+                jc.sobol_indices(problem, samples // 2)
+                if problem is resting
+                else jc.sobol_indices(jc.surface(problem, study))
             )
-            for (response, line), total in shares[title].total.items():
-                rows.append(
-                    {"response": response, "line": line, "when": title, "share": total.value}
-                )
-                rows[-1]["share error"] = total.error
+            rows += [
+                {"response": response, "line": line, "when": title}
+                | {"share": total.value, "share error": total.error}
+                for (response, line), total in shares[title].total.items()
+            ]
         worst = jc.worst_case(resting, progress_bar=show)
     click.echo(f"\nShares of the variance, interplay counted in:\n{as_table(rows)}\n")
     click.echo(f"Worst case at rest: {worst.sentence()}")
     kept = StudyFolder(Path(f"{scene.stem}_yield") if folder is None else folder)
     kept.write_tables(drawing=drawn.table(), shares=as_table(rows))
-    figures = {
-        f"shares {title}".replace(" ", "_"): plot.sobol_indices(own)
-        for title, own in shares.items()
-    }
+    figures = {f"shares_{k.replace(' ', '_')}": plot.sobol_indices(v) for k, v in shares.items()}
     kept.write_figures(drawing=plot.drawing(drawn), **figures)
     click.echo(kept.sentence())

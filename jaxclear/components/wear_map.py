@@ -254,12 +254,12 @@ class AbstractSurface(AbstractWearMap):
             at = lambda k, axis=axis: depth[(k, place[1]) if axis == 0 else (place[0], k)]
             before, after = index - self.side, index + self.side
             if ring:
-                prev, right = at(before % around), at(after % around)
+                left, right = at(before % around), at(after % around)
             else:
-                prev, right = at(jnp.maximum(before, 0)), at(jnp.minimum(after, along - 1))
-                prev = jnp.where(before < 0, 2.0 * here - right, prev)
-                right = jnp.where(after >= along, 2.0 * here - prev, right)
-            slope, bend = 0.5 * (right - prev), 2.0 * here - prev - right
+                left, right = at(jnp.maximum(before, 0)), at(jnp.minimum(after, along - 1))
+                left = jnp.where(before < 0, 2.0 * here - right, left)
+                right = jnp.where(after >= along, 2.0 * here - left, right)
+            slope, bend = 0.5 * (right - left), 2.0 * here - left - right
             top = jnp.clip(safe_divide(slope, bend), -0.5, 0.5)
             top = jnp.where(bend > 0, top, 0.5 * jnp.sign(slope))
             result = result + top * (slope - 0.5 * top * bend) + bend / 24.0
@@ -582,10 +582,10 @@ class CylinderMap(AbstractSurface):
         return spline(position - nearest, *(entry(row, (here + k * side,)) for k in (-1, 0, 1)))
 
 
-def spline(place: Scalar, prev: Scalar, here: Scalar, right: Scalar) -> Scalar:
+def spline(place: Scalar, left: Scalar, here: Scalar, right: Scalar) -> Scalar:
     """A quadratic B-spline at a place, in cells from the nearest of three."""
-    curvature = 0.5 * (prev + right) - here
-    return 0.125 * (prev + 6.0 * here + right) + place * (0.5 * (right - prev) + place * curvature)
+    curvature = 0.5 * (left + right) - here
+    return 0.125 * (left + 6.0 * here + right) + place * (0.5 * (right - left) + place * curvature)
 
 
 def _to_the_edge(last: Array, inside: Array) -> Array:

@@ -64,9 +64,9 @@ def compiler(target: str) -> list[str]:
     return [sys.executable, "-m", "ziglang", "cc", "-target", TARGETS[target].zig]
 
 
-def library(target: str, header: str, code: bytes) -> bytes:
-    """The shared library of a unit, from its header and its functions' machine code."""
-    command = compiler(target)
+def library(command: list[str], header: str, code: bytes) -> bytes:
+    """The shared library of a unit by a compiler's command, from its header and its functions'
+    machine code."""
     with tempfile.TemporaryDirectory() as folder:
         place = Path(folder)
         (place / "unit.h").write_text(header, encoding="utf-8")

@@ -103,8 +103,8 @@ class Passage(NamedTuple):
 def passage(path: tuple, level: Scalar, last: Array, target: Any = None) -> Array:
     """The share of the step at which the cubic passes a level between its start and the share
     `last`, on whose other side it is there. Newton's method, halving where he leaves the
-    bracket: in flight it is all but straight. Where it is not `target` nothing is searched for;
-    None stands for always, and has derivatives in reverse mode too."""
+    bracket: in flight it is all but straight. Where `target` is false nothing is searched
+    for; None stands for always, and has derivatives in reverse mode too."""
     low, high = jnp.zeros_like(last), last
     first, there = path[0] - level, cubic(path, last)[0] - level
     share = jnp.clip(last * safe_divide(first, first - there), 0.0, last)

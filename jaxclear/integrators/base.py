@@ -344,8 +344,8 @@ def counted(one: Callable[[Any, Any], Any], steps: int, first: Any) -> Any:
 def arrived(
     end: Any, steps: Any, warm_start: Any, peaks: Peaks | None = None, watch: Watch | None = None
 ) -> Advance:
-    """The answer of steps that are never rejected, and that have `peaks` so deep contacts; `watch`:
-    events on the way."""
+    """The answer of steps that are never rejected; `peaks`: the largest depths and forces on the
+    way, `watch`: the events."""
     outcome = jnp.where(jnp.all(jnp.isfinite(end)), Outcome.REACHED, Outcome.NOT_FINITE)
     events = None if watch is None else watch.events
     return Advance(end, steps, jnp.zeros_like(steps), warm_start, outcome, peaks, events)

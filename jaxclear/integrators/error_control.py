@@ -247,7 +247,7 @@ class _Solving(NamedTuple):
         return Solved(last.start, last.state, last.kept, *steps, ~last.fine, last.wish)
 
     def derivatives(self, solved, numbers, tangents) -> Solved:
-        """The derivative of what was `solved`, from those of the numbers."""
+        """The derivative of the solution `solved`, from those of the numbers."""
         solving, (_, end, _), _, args = numbers
         of_solving, (_, d_end, _), _, of_args = tangents
         solver, controller = eqx.combine(solving, self.rest)
@@ -547,7 +547,7 @@ class TakingImpactSpeeds(
 
     def _ended(self, step, end, inner, shift, values):
         """(state, state of the solver, growth, events) with derivatives behind touches and
-        releases, from (state, growth, events, error) as `values` before."""
+        releases, from the `values` (state, growth, events, error) before."""
         if self.derived is None:
             return values[0], inner, *values[1:]
         slopes, others = eqx.partition(inner, eqx.is_inexact_array)

@@ -153,7 +153,7 @@ def since(so_far: Peaks | None, first: Peaks) -> Peaks:
 
 
 def among(so_far: Peaks | None, peaks: Peaks) -> Peaks:
-    """What a saving interval has `peaks` by steps that know of no peaks before it, with the
+    """The `peaks` of a saving interval by steps that know of no peaks before it, with the
     derivative of the largest in the run."""
     return _with_derivative(lambda so_far, peaks: peaks >= so_far, so_far, peaks)
 
@@ -173,8 +173,8 @@ def newest(so_far: Any, peaks: Any, counts: Any) -> Any:
 
 
 def _with_derivative(counts: Callable, so_far: Peaks | None, peaks: Peaks) -> Peaks:
-    """The peaks that were `peaks`, with their derivative where it is their own, otherwise that of
-    those `so_far`."""
+    """These `peaks`, with their derivative where it is their own, otherwise that of those
+    `so_far`."""
 
     def one(so_far, peaks):
         if so_far is None or peaks is None:
@@ -192,9 +192,9 @@ def _with_derivative(counts: Callable, so_far: Peaks | None, peaks: Peaks) -> Pe
 def peaks(
     motion: Any, arrays: Any, ends: tuple, motions: tuple, peaks: Peaks, so_far: Peaks | None = None
 ) -> Peaks:
-    """The peaks after a step, `peaks` until its start, and `so_far` in the run until the interval
-    began. `motion`: of the model with these arrays (`saltation.motion_of`); `ends`: (time [s],
-    state) at the start and at the end; `motions`: those of the contacts there, whose own
+    """The peaks after a step, from `peaks` until its start, and those `so_far` in the run until the
+    interval began. `motion`: of the model with these arrays (`saltation.motion_of`); `ends`: (time
+    [s], state) at the start and at the end; `motions`: those of the contacts there, whose own
     derivatives do not count."""
 
     def larger(arrays, start, end, motions, peaks, _):

@@ -182,8 +182,8 @@ AT_TOUCH = 1e-3
 class Part(NamedTuple):
     """Where a motion is: what is `done` of the time [s] in so many `turns`, the state, its
     derivative (`d_state`), (the peaks, their derivatives), and how long the next part may be [s] so
-    that the contacts that are `event` touch or part at its end. nan is done where parts are too
-    long for a contact."""
+    that contacts that would touch or part on the way do so at its end. nan is done where parts are
+    too long for a contact."""
 
     done: Scalar
     turns: Any
@@ -206,9 +206,9 @@ class _Substep(NamedTuple):
 
 
 def followed(motion: Any, remember: Callable, clock: tuple, d_in: tuple, request: tuple) -> Part:
-    """A motion over a time, where it is `needed`. `remember(state, contacts)`: the state as it
+    """A motion over a time, where it is needed. `remember(state, contacts)`: the state as it
     knows its impact speeds. `clock`: (arrays, start [s], length [s]), `d_in`: the derivatives of
-    the arrays and of the state, at times that do not move; `request`: (wanted, the state, (the
+    the arrays and of the state, at times that do not move; `request`: (`needed`, the state, (the
     peaks, their derivatives))."""
     (_, _, total), (d_arr, state), (needed, y, highest) = clock, d_in, request
     nothing = jnp.zeros(())

@@ -99,12 +99,12 @@ def start_arguments(
     afloat -= {b.body for b in before.branches if b.connection is None}
     form = coordinate_joint(name, bodies, connections)
     for body in sorted(afloat):
-        loss = [row for row in closing_rows(form) if row not in joint.ideal_rows]
-        if loss and len(free_joint(bodies[body]).home) > len(loss):
+        missing = [row for row in closing_rows(form) if row not in joint.ideal_rows]
+        if missing and len(free_joint(bodies[body]).home) > len(missing):
             raise ValueError(
                 f'joint "{name}" is to be a {type(joint).__name__}, which acts in a plane, and '
-                f'nothing else holds body "{body}" out of it (rows {listed(loss)}); take a joint '
-                "that acts in space, such as a JournalBearing with a flange."
+                f'nothing else holds body "{body}" out of it (rows {listed(missing)}); take a '
+                "joint that acts in space, such as a JournalBearing with a flange."
             )
     # A home counts where nothing else is guessed, as it did while the tree carried the joint.
     if not guess and name not in values["start"] and not afloat & {*values["start"]}:

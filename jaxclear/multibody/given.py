@@ -109,7 +109,8 @@ def coordinate_equations(
     inputs: list[tuple],
     nearly: bool = False,
 ) -> list[Equations]:
-    """Coordinates of these joints that are to be `inputs`, or `nearly`, angles by the shorter way;
+    """Coordinates of these joints, which are to have the values `inputs`, or `nearly`, angles by
+    the shorter way;
     `q` are those of the tree, by branch."""
     calls = []
     for where, values in zip(sources, inputs, strict=True):
@@ -136,7 +137,7 @@ def coordinate_equations(
 def speed_equations(
     system: System, motions: tuple[Motion, ...], q: tuple, v: tuple, where: Source, values: tuple
 ) -> Equations:
-    """Speeds that are to be `values`; `q` and `v` are those of the tree, by branch."""
+    """Speeds, which are to have these `values`; `q` and `v` are those of the tree, by branch."""
     if where.branch is not None:
         part, branch = v[where.branch], system.topology.branches[where.branch]
         place = at_start(branch, where.joint, q[where.branch], part)[0]

@@ -24,7 +24,7 @@ from jaxclear.components.load import AbstractBodyLoad, Gravity, MarkerMotion
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.quantity import concrete, numbers
 from jaxclear.ground.warning import warn
-from jaxclear.multibody.topology import Topology, coordinate_units
+from jaxclear.multibody.topology import Topology, all_planar, coordinate_units
 
 # Beside 1, or beside a length of 1 m: what a direction or a place is off the plane by rounding.
 ROUNDING = 1e-9
@@ -52,8 +52,7 @@ def across_the_plane(mechanism: Any) -> Iterator[str]:
     nothing: a centre of mass beside the plane of all joints, and gravity along z where all is drawn
     in one plane: an arm drawn in space may turn about upright axes, whose bearings carry it."""
     bodies, connections, loads = mechanism.bodies, mechanism.connections, mechanism.loads
-    flat = all(len(body.inertia) == 1 for body in bodies.values())
-    if not flat or not all(map(_keeps_z, connections.values())):
+    if not all_planar(bodies) or not all(map(_keeps_z, connections.values())):
         return
     markers = [marker for each in connections.values() for marker in (each.parent, each.child)]
     relative = any(_off(sp.vec3(marker.at)[2]) for marker in markers if marker.at is not None)

@@ -94,9 +94,9 @@ def settled(problem: Ask, q: Array, blocks: list[Block]) -> Array:
 
 
 def levenberg(rows: Array, rest: Array, least_damping: float = LEAST_DAMPING) -> Array:
-    """The step that lessens what is `rest`, damped by its square, which closes in quadratically
-    also where the rank of the rows falls (Yamashita & Fukushima 2001, Computing Suppl. 15, 239,
-    doi:10.1007/978-3-7091-6217-0_18)."""
+    """The step that lessens the residual `rest`, damped by its square, which closes in
+    quadratically also where the rank of the rows falls (Yamashita & Fukushima 2001, Computing
+    Suppl. 15, 239, doi:10.1007/978-3-7091-6217-0_18)."""
     damping = DAMPING * jnp.sum(rest * rest) + least_damping
     damped = rows @ rows.T + damping * jnp.eye(len(rest))
     factors = factorisation.factor([list(row) for row in damped])

@@ -327,7 +327,8 @@ def _closure_block(
     rates: bool,
     *values: Any,
 ) -> Block:
-    """`values`: motion of the closure's markers, and its Jacobian, where many are asked for."""
+    """Equations of a closure; `values`: motion of its markers, and its Jacobian, where many are
+    asked for."""
     result = constraints.constraint_rows(problem.system, motions, closure, *values)
     return Block(
         kind,

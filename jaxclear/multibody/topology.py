@@ -165,6 +165,11 @@ def motors(couplings: Mapping[str, AbstractCoupling]) -> dict[str, str]:
     return {motor_name(name): name for name, part in couplings.items() if part.motor is not None}
 
 
+def all_planar(bodies: Mapping[str, Body]) -> bool:
+    """Whether all bodies have an inertia about z alone, as those of a planar mechanism."""
+    return all(len(body.inertia) == 1 for body in bodies.values())
+
+
 def free_joint(body: Body) -> AbstractJoint:
     """The joint of a body that only contacts hold: in the plane if its inertia is planar, in space
     otherwise.

@@ -361,10 +361,10 @@ def _check_reach(bodies: dict, connections: dict) -> None:
                 if other not in reached:
                     reached.add(other)
                     frontier.append(other)
-    loss = [body for body in bodies if body not in reached]
-    if loss:
+    loose = [body for body in bodies if body not in reached]
+    if loose:
         raise ValueError(
-            f"no chain of joints leads from the ground to {', '.join(map(repr, loss))}; connect "
+            f"no chain of joints leads from the ground to {', '.join(map(repr, loose))}; connect "
             'it, or let it float with jaxclear.joint.Free() from "ground".'
         )
 

@@ -66,8 +66,8 @@ Turn = Callable[[list], np.ndarray]
 
 
 def check(program: Program, kernel: Turn, reference: Turn, other: str = "JAX") -> None:
-    """One turn of a kernel on random numbers `other` another evaluation of it. Raises
-    `Unsupported` where they differ.
+    """One turn of a kernel on random numbers, compared with another evaluation of it, which is
+    called `other`. Raises `Unsupported` where they differ.
 
     Where a difference of like numbers is exactly zero in one order of operations and rounding in
     the other, a choice or a quotient that hangs on it differs wholly. That does not recur: one

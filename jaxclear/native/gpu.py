@@ -74,7 +74,7 @@ def build(program: Program, call: Call) -> GpuKernel:
             if ptx is None or check.is_check_enabled():
                 _compare(program, call)
                 cached = _loaded(text, program)
-                # Cached is what has passed.
+                # What has passed is cached.
                 cache_folder.write(cache_folder.KERNEL, key, _ptx(text, program).encode())
             else:
                 cached = _loaded(text, program, ptx.decode())

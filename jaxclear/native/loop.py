@@ -226,8 +226,8 @@ def _floats(shape: tuple[int, ...]) -> jax.ShapeDtypeStruct:
 
 
 def _side_by_side(rows, arrays, batched, batch, shapes, number):
-    """What a kernel gives whose arrays are (numbers of a sample, samples), but for those that are
-    not each sample's `batched`."""
+    """What a kernel gives whose arrays are (numbers of a sample, samples), but for those that
+    all samples share (not `batched`)."""
     samples = math.prod(batch)
     flip = lambda each: jnp.reshape(each, (samples, -1)).T
     columns = [flip(each) if mine else each for each, mine in zip(arrays, batched, strict=True)]

@@ -3,7 +3,7 @@ for any processor and system, which a linker of theirs takes.
 
 The function is called as `name(in, out, tables)`: one row of floats for its arguments, one for what
 it gives (behind the number of its turns, which is 1), whole numbers and truth values as floats; and
-the places of is_long arrays that never change.
+the places of long arrays that never change.
 """
 
 from collections.abc import Callable, Sequence
@@ -21,7 +21,7 @@ from jaxclear.native.writer import LONGEST_IN_REGISTERS, Unsupported
 
 class Standalone(NamedTuple):
     """A function as LLVM code: its `name`, `text`, how many numbers its arguments and what it gives
-    have, and the is_long arrays that it reads."""
+    have, and the long arrays that it reads."""
 
     name: str
     text: str
@@ -34,7 +34,7 @@ def standalone(
     name: str, function: Callable, constants: Sequence[Any], numbers: Sequence[Any]
 ) -> Standalone:
     """`function(constants, numbers)`, lists of arrays, which gives a list of arrays. Of the
-    constants is_long ones are tables. Raises `Unsupported` where a part of it has no rule."""
+    constants long ones are tables. Raises `Unsupported` where a part of it has no rule."""
     constants, numbers = ([jnp.asarray(x) for x in arguments] for arguments in (constants, numbers))
     # What may change is in registers, a few numbers at a time.
     pieces = [
@@ -74,7 +74,7 @@ def standalone(
     is_long = in_memory(program)[: len(constant_avals)]
     tables = [np.asarray(x) for x, one in zip([*captured, *arguments], is_long, strict=True) if one]
     if any(x.size and not one for x, one in zip(captured, is_long, strict=False)):
-        raise Unsupported("a is_long array that is no table")
+        raise Unsupported("a long array that is no table")
     size = sum(x.size for x, one in zip(constant_avals, is_long, strict=True) if not one)
     head = f"@{stopping.SYMBOL} = internal global i64 0\n"
     text = text.replace("define internal void @NAME.loop", f"define hidden void @{name}")

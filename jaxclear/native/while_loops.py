@@ -150,7 +150,7 @@ def _tables(
     parts: Sequence[int], heights: Sequence[int], starts: Sequence[int], ahead: int
 ) -> tuple[Table, ...]:
     """The table of each array that turns leave, where so many arrays are in each of the parts, as
-    many or none of which are `starts`: behind so many constants stand their places, then these."""
+    many or none of which have `starts`: behind so many constants stand their places, then these."""
     out, start = [], ahead + len(parts)
     for k, (count, height, first) in enumerate(zip(parts, heights, starts, strict=True)):
         out += [Table(height, ahead + k, start + i if first else None) for i in range(count)]

@@ -96,8 +96,8 @@ SHORTEST_PART = 1e-6
 
 class Span(NamedTuple):
     """A saving interval from `start` to `stop` [s]; `progress`: its share of the whole run. Where
-    surfaces wear: whether they are `wears` to be worn at its start; outside a kernel in how many
-    `parts` it is gone through, between which they wear."""
+    surfaces wear: whether their wear is updated at its start (`wears`); outside a kernel in how
+    many `parts` it is gone through, between which they wear."""
 
     start: Float[Array, " turns"]
     stop: Float[Array, " turns"]

@@ -151,11 +151,12 @@ def _check_end(trajectory: Trajectory) -> None:
 
 
 def is_all_kernel(mechanism: Mechanism, integrator: AbstractIntegrator, loud: bool = False) -> bool:
-    """Whether next to all work of a run is that of its kernels, if it has any and its progress is
-    not `loud`: then XLA need not optimise the rest, of however many cells worn surfaces are."""
+    """Whether next to all work of a run is that of its kernels, if it has any and does not report
+    its progress (`loud`): then XLA need not optimise the rest, of however many cells worn
+    surfaces are."""
     # A motor has an equation of its own, whatever the others do.
-    branch = (branch for branch in mechanism.topology.branches if not branch.motor)
-    small = sum(branch.coordinate_count for branch in branch) <= FEW_COORDINATES
+    branches = (branch for branch in mechanism.topology.branches if not branch.motor)
+    small = sum(branch.coordinate_count for branch in branches) <= FEW_COORDINATES
     ready = has_kernels() and integrator.in_kernels
     return small and ready and not loud and integrator.steps_between_saves is None
 

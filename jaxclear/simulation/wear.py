@@ -195,8 +195,8 @@ def worn_so_far(
     system: System, layout: Layout, now: tuple[Worn, Any, Pending], state: Array, wears: Any = None
 ) -> tuple[Worn, Any, Pending]:
     """(depth maps, as gaps read them, what is pending) once surfaces are worn by all that was lost
-    up to a state, where they are `wears` (None: they are): cell by cell, for a kernel. None where
-    no gap reads one.
+    up to a state, if `wears` (None: always): cell by cell, for a kernel. None where no gap reads
+    one.
     """
     worn, read, before = now
     entries = _of_wear(layout)

@@ -2,10 +2,9 @@
 
 Each choice is an option, the places that it leaves a number: one for a size, a range for a process.
 Of all combinations (of a catalogue the two sizes about the relaxed optimum, of a fit all classes,
-whose means move with them) those are searched that
-may be cheaper than the best so far, by their cost at the widest tolerances (the tighter, the
-dearer), and that may keep the limits. Where these are too many, one number after the other is
-changed while that helps.
+whose means move with them) those are searched that may be cheaper than the best so far, by their
+cost at the widest tolerances (the tighter, the dearer), and that may keep the limits. Where these
+are too many, one number after the other is changed while that helps.
 """
 
 import itertools

@@ -19,6 +19,7 @@ from jaxclear.ground.quantity import AbstractQuantified
 from jaxclear.ground.table import as_table
 from jaxclear.ground.wording import described
 from jaxclear.multibody.mechanism import Mechanism, rebuilt
+from jaxclear.multibody.topology import all_planar
 from jaxclear.studies.distribution import (
     AbstractDistribution,
     AbstractJointDistribution,
@@ -160,7 +161,7 @@ class Drawing(AbstractQuantified):
                 for own in (one.hole_limits, one.shaft_limits)
             ]
             found[name] = Line(f"joint {name}", one.specification, sizes, ends)
-        plane = all(len(body.inertia) == 1 for body in mechanism.bodies.values())
+        plane = all_planar(mechanism.bodies)
         for name, zone in zones.items():
             mechanism = _ready(mechanism, name, zone, plane)
         for name in _by_datum(zones):
