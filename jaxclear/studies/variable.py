@@ -169,7 +169,8 @@ class Variable(AbstractMechanismVariable):
             if not jnp.allclose(leaf, result, rtol=SAME, atol=0.0):
                 raise ValueError(
                     f'variable "{name}" derives a number that is {float(result):.6g} at '
-                    f"nominal, where the mechanism has {float(leaf):.6g}; give the mechanism what it derives."
+                    f"nominal, where the mechanism has {float(leaf):.6g}; give the mechanism "
+                    "what it derives."
                 )
 
 
