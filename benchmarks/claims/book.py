@@ -352,7 +352,7 @@ class PageRun(NamedTuple):
 
 
 def run_page(name: str, into: Path) -> PageRun:
-    """Execute a page; its printed output (`NAME.txt`) and figures (`NAME_1.png`) go into a folder."""
+    """Execute a page; what it prints (`NAME.txt`) and draws (`NAME_1.png`) goes into a folder."""
     import nbformat
     from myst_nb.core.read import read_myst_markdown_notebook
     from nbclient import NotebookClient
