@@ -24,7 +24,8 @@ from jaxclear.formulations.permanent_reactions import (
 )
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import safe_divide
-from jaxclear.multibody.forces import read_load, wrench_of_joint_loads
+from jaxclear.multibody.forces import read_load
+from jaxclear.multibody.rows import wrench_in_joint
 from jaxclear.multibody.state import Followed
 from jaxclear.multibody.system import System
 
@@ -115,8 +116,7 @@ def report(
         # The film carries, wherever the journal lies.
         offset = jnp.stack([*instant.followed.states[film_of(fixed.name)][:2], jnp.zeros(())])
         normal = 0.0 * normal
-    place = (instant.model.system, instant.motions, fixed.name, instant.time, instant.followed)
-    loads = wrench_of_joint_loads(*place)
+    loads = wrench_in_joint(instant.forces({}).rows, fixed.name)
     return ContactReport(
         offset,
         axis,
