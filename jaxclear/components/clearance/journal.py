@@ -145,7 +145,7 @@ class PlanarJournalBearing(AbstractJournalBearing):
         bearing_wear: wear of the bearing, a `Wearing`; none by default.
         journal_wear: wear of the journal, a `Wearing`; none by default.
         roundness: lobes of a bore that is not round, a tuple of `Lobes`; round by default.
-        film: lubricant film in the gap, one of `jaxclear.film`; dry by default.
+        film: film law of a lubricated gap, one of `jaxclear.film`; none by default: dry.
 
     Raises:
         ValueError: if the clearance is not below the radius, the lobes are so high that the journal
