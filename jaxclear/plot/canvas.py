@@ -181,7 +181,7 @@ def captioned(figure: Figure, sentences: Sequence[str] = ()) -> Figure:
     space = (0.0, below / lines_of_all, 1.0, 1.0 - below / lines_of_all)
     figure.set_layout_engine("constrained", rect=space)
     text = "\n".join(lines)
-    look = {"fontsize": LETTERS, "color": _caption_colour(sentences), "va": "bottom"}
+    look: Any = {"fontsize": LETTERS, "color": _caption_colour(sentences), "va": "bottom"}
     figure.text(0.01, 0.5 * LINE / lines_of_all, text, **look)
     return figure
 
