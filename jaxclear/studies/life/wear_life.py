@@ -106,7 +106,7 @@ def wear_life(
         check_number("jump of wear_life", jump, at_least=1)
     check_count("most of wear_life", most)
     check_flags("wear_life", progress_bar=progress_bar, verify=verify)
-    check_asked(problem)
+    check_wear_problem(problem)
     if cycles is None and period is not None:
         raise ValueError(
             f"wear_life is given a period of {float(period):g} s and no number of cycles: give it "
@@ -181,7 +181,7 @@ def _smallest_clearance(mechanism: Mechanism) -> float:
     return min((float(size) for size in clearances if size is not None), default=np.inf)
 
 
-def check_asked(problem: Problem) -> None:
+def check_wear_problem(problem: Problem) -> None:
     """Raises `ValueError` with a sentence for a problem without a life."""
     _check_wears(problem)
     _check_names(problem)
@@ -326,7 +326,7 @@ def wear_lives(
     check_number("accuracy of wear_lives", accuracy, above=0)
     check_count("most of wear_lives", most)
     check_flags("wear_lives", progress_bar=progress_bar)
-    check_asked(problem)
+    check_wear_problem(problem)
     values = draw(problem, samples, seed)
     lives: list[WearLife | None] = []
     failed: dict[int, str] = {}

@@ -91,12 +91,12 @@ def first_difference(one: dict[str, str], other: dict[str, str]) -> str:
 
 
 class _Description:
-    """Texts of things by path; `once`: globals and classes by the path at which they are described,
-    which several functions may use and which may use one another."""
+    """Texts of things by path; `described`: globals and classes by the path at which they are
+    described, which several functions may use and which may use one another."""
 
     def __init__(self) -> None:
         self.texts: dict[str, str] = {}
-        self.once: dict[str, Any] = {}
+        self.described: dict[str, Any] = {}
 
     def add(self, thing: Any, path: str, ancestors: tuple[int, ...] = ()) -> None:
         """The texts of a thing and of its parts. `ancestors`: whose part it is, by identity."""
@@ -138,11 +138,11 @@ class _Description:
     def _new_path(self, path: str, thing: Any) -> str:
         """The path of a thing that is described here for the first time; "" of another. Two modules
         of one name may have different things of one name."""
-        while path in self.once:
-            if self.once[path] is thing:
+        while path in self.described:
+            if self.described[path] is thing:
                 return ""
             path += "'"
-        self.once[path], self.texts[path] = thing, DESCRIBED
+        self.described[path], self.texts[path] = thing, DESCRIBED
         return path
 
     def _add_global(self, path: str, thing: Any) -> None:
