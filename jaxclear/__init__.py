@@ -144,6 +144,7 @@ __all__ = [
     "identify",
     "integrator",
     "joint",
+    "largest",
     "limit",
     "limit_state",
     "load",
