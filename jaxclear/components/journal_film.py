@@ -15,7 +15,7 @@ from jaxclear.components.acting import AbstractJointLoad, JointEffect, LoadState
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import safe_divide, safe_sqrt
 from jaxclear.ground.quantity import Scalar, quantity
-from jaxclear.laws.film import AbstractFilm, Vogel
+from jaxclear.laws.film import AbstractFilm
 from jaxclear.laws.film.impedance import full_film_scales
 
 # Parts of a step in which a journal moves, and turns of Newton's method in each, the first with the
@@ -28,7 +28,7 @@ class JournalFilm(AbstractJointLoad):
 
     Args:
         connection: name of the joint.
-        law: film law, one of `jaxclear.film`.
+        law: film law, one of `jaxclear.film`, fitted to the bearing.
         radius: radius of the bearing's hole [m], > 0.
         clearance: radial clearance [m], > 0.
         length: length of the bearing [m], > 0.
@@ -43,12 +43,6 @@ class JournalFilm(AbstractJointLoad):
     sheared: bool = eqx.field(static=True, default=False)
 
     @property
-    def viscosity(self) -> Scalar:
-        """Dynamic viscosity [Pa s]."""
-        given: Any = self.law.viscosity
-        return given.value() if isinstance(given, Vogel) else given
-
-    @property
     def slenderness(self) -> Scalar:
         """Length over diameter [1]."""
         return self.length / (2 * self.radius)
@@ -57,7 +51,7 @@ class JournalFilm(AbstractJointLoad):
     def stiffening(self) -> Scalar:
         """12 mu R (R/c)^3 [N s/m], by which the law's impedance is multiplied."""
         ratio = self.radius / self.clearance
-        return 12 * self.viscosity * self.radius * ratio * ratio * ratio
+        return 12 * self.law.viscosity * self.radius * ratio * ratio * ratio
 
     def _ratio(self, x: Any, y: Any) -> Any:
         """Eccentricity ratio [1] of an offset [m], as the film is evaluated."""
@@ -108,7 +102,7 @@ class JournalFilm(AbstractJointLoad):
             the torque [N m].
         """
         e, cube = self._ratio(*offset), self.radius * self.radius * self.radius
-        size = 2 * jnp.pi * self.viscosity * cube * self.length
+        size = 2 * jnp.pi * self.law.viscosity * cube * self.length
         return size * spin / (self.clearance * jnp.sqrt((1 - e) * (1 + e)))
 
     def act(self, time, motion, states):

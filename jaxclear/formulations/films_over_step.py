@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jaxclear.components.journal_film import JournalFilm
+from jaxclear.components.journal_film import JournalFilm, film_of
 from jaxclear.formulations.contact_rows import MiddleOfStep, TimeStep, split
 from jaxclear.formulations.delassus import ContactSolution, ImplicitContact, LinearLaws
 from jaxclear.formulations.model import Model
@@ -89,8 +89,8 @@ def turning(offset: tuple, spin: Any) -> tuple:
 
 def films_of(system: System) -> dict[str, JournalFilm]:
     """The films of joints whose forces steps may find, by name."""
-    loads = system.loads.items()
-    return {name: x for name, x in loads if isinstance(x, JournalFilm)}
+    filled = [name for name, own in system.bearings.items() if own.joint.gap_load(name) is not None]
+    return {film_of(name): system.loads[film_of(name)] for name in filled}
 
 
 def without_films(model: Model) -> Model:

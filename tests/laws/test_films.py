@@ -168,7 +168,7 @@ def test_the_viscosity_of_vogel():
     gap = jc.clearance.PlanarJournalBearing(
         jc.contact.Hertz(), film=jc.film.Reynolds(viscosity=oil)
     )
-    assert float(gap.gap_load("B").viscosity) == pytest.approx(expected, rel=1e-12)
+    assert float(gap.gap_load("B").law.viscosity) == pytest.approx(expected, rel=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -34,7 +34,7 @@ from jaxclear.ground.quantity import AbstractQuantified, Scalar, concrete, quant
 from jaxclear.laws.contact import AbstractNormalLaw
 from jaxclear.laws.film import AbstractFilm
 from jaxclear.laws.friction import AbstractFrictionLaw
-from jaxclear.laws.stiffness import Shape
+from jaxclear.laws.stiffness import Shape, fitted
 
 # Height of the crown over the rim, as a share of the axial clearance: 0.2 um at 0.2 mm, where
 # faces run out by several um. Up to ten times as much changes no mean force by 1e-3, and halves the
@@ -171,7 +171,9 @@ class PlanarJournalBearing(AbstractJournalBearing):
     def gap_load(self, name):
         if self.film is None:
             return None
-        return JournalFilm(name, self.film, self.bearing_radius, self.clearance, self.length)
+        shape = Shape(self.bearing_radius - self.clearance, self.bearing_radius, self.length)
+        law = fitted(self.film, shape)
+        return JournalFilm(name, law, self.bearing_radius, self.clearance, self.length)
 
     @property
     def axes(self) -> tuple[int, ...]:
