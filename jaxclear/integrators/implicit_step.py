@@ -48,7 +48,7 @@ class ImplicitStep(AbstractIntegrator):
     change; within a step they lack that damping.
 
     Loads that oscillate by themselves (stiff springs, dampers) are explicit: step < 2 / omega of
-    them; couplings with stiffness or play are not. A step should move the parts by less than a
+    them; couplings with stiffness or play and films of bearings are not. A step should move the parts by less than a
     clearance, and by less than a cell of a worn surface, or forces at the saved instants are far
     off, though the motion stays bounded.
 

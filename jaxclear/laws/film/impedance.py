@@ -118,7 +118,7 @@ class Reynolds(AbstractFilm):
 
     Args:
         viscosity: dynamic viscosity [Pa s], > 0; a number or a `Vogel`.
-        thinnest: least film thickness over clearance [1], >= 5e-4 and < 0.5; below it thickness is
+        thinnest: least film thickness over clearance [1], >= 0.0005 and < 0.5; below it thickness is
             taken as this.
 
     Source: Booker 1965, J. Basic Eng. 87, 168, doi:10.1115/1.3650461; Childs, Moes & van Leeuwen
@@ -141,7 +141,7 @@ class HalfFilm(AbstractFilm):
 
     Args:
         viscosity: dynamic viscosity [Pa s], > 0; a number or a `Vogel`.
-        thinnest: least film thickness over clearance [1], >= 5e-4 and < 0.5; below it thickness is
+        thinnest: least film thickness over clearance [1], >= 0.0005 and < 0.5; below it thickness is
             taken as this.
 
     Source: Gümbel 1921, Mon. Blätt. Berlin. Bez. VDI 5; Childs, Moes & van Leeuwen 1977, J. Lubr.
