@@ -6,6 +6,7 @@ import shlex
 import tomllib
 from pathlib import Path
 
+import jax
 import pytest
 
 import jaxclear as jc
@@ -36,13 +37,39 @@ def test_the_first_command_writes_what_readme_says(tmp_path, monkeypatch, keep_s
     assert written == {".png", ".csv"}
 
 
-@pytest.mark.parametrize("code", fences("python"), ids=lambda code: code.split("\n")[0])
-def test_the_example_runs(code, capsys):
-    for words, fewer in SHORTER.items():
+def run_examples(capsys, shorter):
+    """What README's Python prints, and its names."""
+    code, names = "\n".join(fences("python")), {}
+    for words, fewer in shorter.items():
         code = re.sub(words, fewer, code)
-    exec(compile(code, "README.md", "exec"), {})
-    printed = capsys.readouterr().out
+    exec(compile(code, "README.md", "exec"), names)
+    return capsys.readouterr().out, names
+
+
+def test_the_example_runs_and_is_the_ready_mechanism(capsys):
+    printed, names = run_examples(capsys, SHORTER)
     assert "reached its end" in printed and "mean force" in printed
+    ready = jc.scenes.slider_crank()
+    assert jax.tree.structure(names["rig"]) == jax.tree.structure(ready)
+    assert jax.tree.leaves(names["rig"]) == jax.tree.leaves(ready)
+
+
+@pytest.mark.slow
+def test_readme_gives_the_numbers_that_its_example_prints(capsys):
+    printed, _ = run_examples(capsys, {})
+    numbers = re.findall(r"\(?-?[\d.]+ ± [\d.]+\)?(?:e-?\d+)?", TEXT.split("means a normal")[1])
+    assert len(numbers) == 3 and all(number in printed for number in numbers)
+
+
+def test_readme_and_the_first_studies_of_the_book_state_one_problem():
+    """Three pages gave three derivatives of "the slider-crank"."""
+    study = re.compile(r"jc\.Problem\((.*?)\nsample = jc\.monte_carlo\(.*?\)", re.S)
+    book = ROOT / "notebooks"
+    texts = [TEXT, *((book / f"{page}.md").read_text() for page in ("slider_crank", "derivatives"))]
+    stated = [study.search(text)[0] for text in texts]
+    # The reference path has a name of its own on one page.
+    plain = [re.sub(r'ideal\.body\("slider"\)\.com', "path", text) for text in stated]
+    assert len({re.sub(r",(?=[)}])", "", re.sub(r"\s+", "", text)) for text in plain}) == 1
 
 
 def test_ci_runs_the_test_command():

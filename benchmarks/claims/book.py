@@ -2,19 +2,27 @@
 glossary, signatures that cannot be typed, colliding texts, warnings nobody speaks of, build time.
 
     python -m benchmarks.claims.book [--list] [--built build/book] [--json FILE]
+    python -m benchmarks.claims.book --run [PAGE ...] [--into build/pages] [--json FILE]
 
 Paragraphs, heads, terms and signatures are read from the sources and the docstrings, in seconds.
 Warnings, figures and seconds are known where the book is built: `--built` names that folder.
+`--run` executes the pages that are notebooks (or those named), each in a kernel of its own that
+finds no compiled program, and prints their CPU time and first error; what a page prints and draws
+is written into a folder.
 A page marks a term where it explains it: as {term}`rung`, or in bold in a paragraph. A list item
 and a cell of a table are paragraphs as any other; programs and their output are none.
 """
 
 import argparse
 import ast
+import base64
 import inspect
 import json
+import math
+import os
 import re
 import sys
+import tempfile
 from html import unescape
 from collections.abc import Iterator
 from pathlib import Path
@@ -41,6 +49,7 @@ LIMITS = {
     "warnings that their page does not name": 0,
     "build [s]": 900,
 }
+PAGE_SECONDS = 60  # of CPU time, at most
 # Directives whose content is text of the page.
 BOXES = {
     "admonition",
@@ -335,6 +344,74 @@ def built_rows(built: Path) -> dict[str, float]:
     }
 
 
+class PageRun(NamedTuple):
+    """What came of executing a page: CPU time [s] and error ("": none)."""
+
+    seconds: float
+    error: str
+
+
+def run_page(name: str, into: Path) -> PageRun:
+    """Execute a page; what it prints (`NAME.txt`) and draws (`NAME_1.png`) goes into a folder."""
+    import nbformat
+    from myst_nb.core.read import read_myst_markdown_notebook
+    from nbclient import NotebookClient
+
+    source = BOOK / f"{name}.md"
+    notebook = read_myst_markdown_notebook(source.read_text(), path=source)
+    clock = "import os; print('CPU', sum(os.times()[:4]))"
+    notebook.cells.append(nbformat.v4.new_code_cell(clock))
+    where = {"metadata": {"path": str(source.parent)}}
+    error = ""
+    with tempfile.TemporaryDirectory() as cache:
+        os.environ |= {"JAXCLEAR_CACHE": cache}
+        client = NotebookClient(
+            notebook, timeout=1800, kernel_name="python3", resources=where, allow_errors=True
+        )
+        client.execute()
+    into.mkdir(parents=True, exist_ok=True)
+    stem, figures, texts = name.replace("/", "_"), 0, []
+    seconds = math.nan
+    for cell in notebook.cells:
+        for output in cell.get("outputs", []):
+            data = output.get("data", {})
+            if output.output_type == "error":
+                error = error or f"{output.ename}: {output.evalue}"
+                texts.append(error)
+            elif output.get("text", "").startswith("CPU "):
+                seconds = float(output.text.split()[1])
+            elif "image/png" in data:
+                figures += 1
+                (into / f"{stem}_{figures}.png").write_bytes(base64.b64decode(data["image/png"]))
+                texts.append(f"[figure {figures}]")
+            else:
+                prefix = "stderr: " if output.get("name") == "stderr" else ""
+                texts.append(prefix + (output.get("text") or data.get("text/plain", "")).rstrip())
+    (into / f"{stem}.txt").write_text("\n".join(texts) + "\n")
+    return PageRun(seconds, error)
+
+
+def run_pages(names: list[str], into: Path) -> list[dict[str, Any]]:
+    """Execute pages one after the other (all notebooks where none is named); a row each."""
+    notebooks = [name for name, text in pages().items() if "file_format: mystnb" in text]
+    unknown = set(names) - set(notebooks)
+    if unknown:
+        raise SystemExit(f"no page of the book is executed under the name {sorted(unknown)}")
+    rows = []
+    for name in names or notebooks:
+        run = run_page(name, into)
+        print(f"{name}: {run.seconds:.1f} s {run.error}".rstrip(), flush=True)
+        rows.append(
+            {
+                "page": name,
+                "CPU time [s]": round(run.seconds, 1),
+                "at most": PAGE_SECONDS,
+                "error": run.error.split("\n")[0],
+            }
+        )
+    return rows
+
+
 def measure(built: Path | None = None) -> dict[str, float]:
     """All counts by name."""
     rows = page_rows()
@@ -355,7 +432,12 @@ def main() -> None:
     parser.add_argument("--built", type=Path, help="folder of the built book")
     parser.add_argument("--json", type=Path, help="write the counts to this file")
     parser.add_argument("--quick", action="store_true", help="as all benchmarks")
+    parser.add_argument("--run", nargs="*", metavar="PAGE", help="execute pages (all by default)")
+    parser.add_argument("--into", type=Path, default=ROOT / "build" / "pages", help="their output")
     options = parser.parse_args()
+    if options.run is not None:
+        report("pages executed", run_pages(options.run, options.into), options)
+        return
     rows = [
         {"measure": name, "value": value, "at most": LIMITS.get(name)}
         for name, value in measure(options.built).items()

@@ -15,9 +15,9 @@ from jaxclear.components.coupling import AbstractCoupling
 from jaxclear.formulations.model import Instant, Model
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.quantity import concrete
-from jaxclear.multibody.contact_point import JointReport
-from jaxclear.multibody.forces import Forces, wrench_of_joint_loads
+from jaxclear.multibody.forces import Forces
 from jaxclear.multibody.mechanism import Mechanism
+from jaxclear.multibody.rows import wrench_in_joint
 from jaxclear.multibody.state import lay_out
 from jaxclear.multibody.system import System, prepare
 
@@ -159,20 +159,18 @@ class AbstractFormulation(eqx.Module):
         """
 
 
-def clearance_contact(instant: Instant, report: JointReport, name: str) -> ContactReport:
-    """The contacts of a clearance joint, from its report.
+def clearance_contact(instant: Instant, forces: Forces, name: str) -> ContactReport:
+    """The contacts of a clearance joint, from everything that acts.
 
     Args:
         instant: the saved state, an `Instant`.
-        report: report of the joint's forces and points, a `JointReport`.
+        forces: what acts there, a `Forces`.
         name: name of the joint.
 
     Returns:
         a `ContactReport`.
     """
-    pose, points = instant.pose(name), report.points
-    place = (instant.model.system, instant.motions, name, instant.time, instant.followed)
-    loads = wrench_of_joint_loads(*place)
+    pose, points = instant.pose(name), forces.reports[name].points
     return ContactReport(
         pose.translation,
         sp.transpose(pose.rotation)[2],
@@ -181,8 +179,7 @@ def clearance_contact(instant: Instant, report: JointReport, name: str) -> Conta
         tuple(point.slip_speed for point in points),
         tuple(point.traction for point in points),
         tuple(point.place for point in points),
-        sp.plus(report.force, loads.force),
-        sp.plus(report.torque, loads.torque),
+        *wrench_in_joint(forces.rows, name),
     )
 
 

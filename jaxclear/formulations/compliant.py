@@ -142,7 +142,7 @@ class CompliantContact(AbstractFormulation):
     def contact(self, instant: Instant, name: str) -> ContactReport:
         forces = self._of_contacts(instant)
         if name in instant.model.system.bearings:
-            return clearance_contact(instant, forces.reports[name], name)
+            return clearance_contact(instant, forces, name)
         return joint_friction.contact(instant, forces, name)
 
     def _of_contacts(self, instant: Instant) -> Forces:

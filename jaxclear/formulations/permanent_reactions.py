@@ -26,6 +26,7 @@ from jaxclear.multibody.rows import (
     OnClosure,
     OnLink,
     Row,
+    wrench_in_joint,
 )
 from jaxclear.multibody.system import System
 from jaxclear.multibody.tree import Wrench
@@ -208,13 +209,11 @@ def answer_to(
 ) -> Answer:
     """The accelerations of a solution, with the reactions of joints that touch under the forces
     that have caused it, at coordinates `q`."""
-    wrenches = dynamics.joint_wrenches(system, forces, solution)
-    closed = []
-    if any(held.link is None for held in touching_joints):
-        found = constraints.constraint_wrenches(system, forces.motions, solution.multipliers)
-        closed = [Reaction(force, torque) for _, force, torque, _ in found]
+    acting = dynamics.with_closures(system, forces, solution)
+    wrenches = dynamics.joint_wrenches(system, acting, solution)
+    closing = acting.rows[len(forces.rows) :]
     reactions = tuple(
-        closed[held.loop]
+        Reaction(*wrench_in_joint([row for row in closing if row.owner == held.name], held.name))
         if held.link is None
         else reaction_of_link(system, held, forces.motions, q, wrenches[held.link])
         for held in touching_joints

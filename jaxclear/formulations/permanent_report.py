@@ -23,7 +23,7 @@ from jaxclear.formulations.permanent_reactions import (
 )
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import safe_divide
-from jaxclear.multibody.forces import wrench_of_joint_loads
+from jaxclear.multibody.rows import wrench_in_joint
 from jaxclear.multibody.system import System
 
 
@@ -89,8 +89,7 @@ def report(
     slips = tuple(sliding_speeds(instant.model.system, instant.motions, fixed))
     sliding = [slid(joint, slips if len(slips) > 1 else slips[0], c.place) for c in result]
     offset, axis = _offset_and_axis(ends)
-    place = (instant.model.system, instant.motions, fixed.name, instant.time, instant.followed)
-    loads = wrench_of_joint_loads(*place)
+    loads = wrench_in_joint(instant.forces({}).rows, fixed.name)
     return ContactReport(
         offset,
         axis,

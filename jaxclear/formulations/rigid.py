@@ -131,7 +131,7 @@ class RigidContact(AbstractFormulation):
 
     def contact(self, instant, name):
         if name in instant.model.system.bearings:
-            return clearance_contact(instant, reports_of_means(instant)[name], name)
+            return clearance_contact(instant, self.forces(instant), name)
         return report_of_means(instant, name)
 
     def warm_start(self, model: Model) -> Float[Array, " h"]:

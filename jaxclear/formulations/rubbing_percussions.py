@@ -47,7 +47,8 @@ from jaxclear.formulations.unilateral import (
 )
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import safe_divide
-from jaxclear.multibody.rows import LinearRate, add_action_and_reaction
+from jaxclear.multibody.forces import contact_rows, with_rows
+from jaxclear.multibody.rows import LinearRate
 from jaxclear.multibody.state import unpack_motion
 
 
@@ -360,13 +361,10 @@ def _reactions(
         by_contact = in_own_directions(contacts, list(pushed))
         by_contact, stops = by_contact[: len(now.contacts)], by_contact[len(now.contacts) :]
         reports = rigid_reports(system, now.poses, now.contacts, by_contact)
-        wrenches = list(now.forces.wrenches)
-        for name, report in reports.items():
-            place = system.bearings[name].closure, now.poses[name]
-            add_action_and_reaction(wrenches, *place, report.force, report.torque)
+        acting = with_rows(now.forces, contact_rows(system, now.poses, reports))
         none = [(0,) * joint.held.joint.components for joint in joints]
         friction = [x for own, zero in zip(rubs, none, strict=True) for x in own or zero]
-        acting = with_friction(system, now.forces._replace(wrenches=tuple(wrenches)), friction)
+        acting = with_friction(system, acting, friction)
         given = loads.by_load(system, [*(own[0] for own in stops), *further])
         acting = with_loads(system, acting, given)
         total, multipliers = (

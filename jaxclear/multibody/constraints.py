@@ -17,7 +17,7 @@ from jaxclear.multibody.coordinate_sums import read_sum
 from jaxclear.multibody.kinematics import JacobianRow
 from jaxclear.multibody.loops import Baumgarte, Closure, CoordinateSum, Relative
 from jaxclear.multibody.meshes import Mesh
-from jaxclear.multibody.rows import Row, add_action_and_reaction, add_wrenches
+from jaxclear.multibody.rows import Row, add_wrenches, row_of_wrench, wrench_in_joint
 from jaxclear.multibody.system import System
 from jaxclear.multibody.tree import NOTHING, Motion, Wrench
 
@@ -228,35 +228,19 @@ def acceleration_equations(
     return ClosureEquations(rows, gamma, rows_alike(system, every), dependence(system, every))
 
 
-def constraint_wrenches(
-    system: System, motions: tuple[Motion, ...], multipliers: tuple
-) -> Iterator[tuple[Closure, sp.Vec, sp.Vec, Pose]]:
-    """(closure, force [N], torque [N m], pose) on each closure's child about its marker, in the
-    parent marker's axes.
-    """
-    for closure, own in by_closure(system, motions, multipliers):
-        pose = kinematics.relative_motion(closure, motions)[1]
-        yield closure, *wrench_of_rows(closure, pose, own), pose
-
-
-def coupling_rows(system: System, motions: tuple[Motion, ...], multipliers: tuple) -> list[Row]:
-    """What rigid couplings of coordinates do, from the multipliers of all closures."""
-    if not system.topology.couplings:
-        return []
-    return _sum_rows(system, motions, by_closure(system, motions, multipliers))
-
-
-def _sum_rows(
-    system: System,
-    motions: tuple[Motion, ...],
-    every: Iterable[tuple[Closure, dict[int, Any]]],
+def closing_rows(
+    system: System, motions: tuple[Motion, ...], every: Iterable[tuple[Closure, dict[int, Any]]]
 ) -> list[Row]:
-    """The same from each closure with the multipliers of its rows, by their places."""
-    return [
-        Row(name, read_sum(motions, closure.reading)[1], own[0])
-        for name, (closure, own) in zip(system.topology.loops, every, strict=True)
-        if isinstance(closure.reading, CoordinateSum) and own
-    ]
+    """What joints that close loops and rigid couplings do, from each closure and the multipliers of
+    its rows, by their places."""
+    rows = []
+    for name, (closure, own) in zip(system.topology.loops, every, strict=True):
+        if isinstance(closure.reading, CoordinateSum):
+            rows += [Row(name, read_sum(motions, closure.reading)[1], own[0])] if own else []
+            continue
+        pose = kinematics.relative_motion(closure, motions)[1]
+        rows.append(row_of_wrench(name, closure, pose, wrench_of_rows(closure, pose, own), name))
+    return rows
 
 
 def by_closure(
@@ -270,19 +254,17 @@ def by_closure(
         position += len(kept)
 
 
-def wrench_of_rows(closure: Closure, pose: Pose, own: dict[int, Any]) -> tuple[sp.Vec, sp.Vec]:
-    """Force [N] and torque [N m] on a closure's child about its marker, in the parent marker's
-    axes, from the multipliers of its rows by their places."""
+def wrench_of_rows(closure: Closure, pose: Pose, own: dict[int, Any]) -> Wrench:
+    """The wrench on a closure's child about its marker, in the parent marker's axes, from the
+    multipliers of its rows by their places."""
     force, torque = sp.ZERO, sp.ZERO
-    if isinstance(closure.reading, CoordinateSum):
-        return force, torque
     if closure.reading is not None:
         slopes = pose_rows.gradients(closure.reading, pose)[1]
         for i, multiplier in own.items():
             pushed, turned = slopes[i].wrench(pose)
             force = sp.plus(force, sp.scale(multiplier, pushed))
             torque = sp.plus(torque, sp.scale(multiplier, turned))
-        return force, torque
+        return Wrench(force, torque)
     columns = sp.transpose(pose.rotation)
     for i, multiplier in own.items():
         row = closure.rows[i]
@@ -292,7 +274,7 @@ def wrench_of_rows(closure: Closure, pose: Pose, own: dict[int, Any]) -> tuple[s
         else:
             turned = sp.cross(columns[loops.AXIS[row[2]]], axis)
             torque = sp.plus(torque, sp.scale(multiplier, turned))
-    return force, torque
+    return Wrench(force, torque)
 
 
 def wrenches_of_rows(
@@ -301,14 +283,13 @@ def wrenches_of_rows(
     """What multipliers of the closures' rows, by their places, hold up in a mechanism at rest: the
     wrench on each closure's child about its marker, in the parent marker's axes, and that which
     each link receives through its inboard joint, in the link's frame."""
-    closing = []
+    rows = closing_rows(system, motions, zip(system.closures, own, strict=True))
+    closing = [
+        wrench_in_joint([row for row in rows if row.owner == name], name)
+        for name in system.topology.loops
+    ]
     acting = [NOTHING] * len(system.links)
-    for closure, multipliers in zip(system.closures, own, strict=True):
-        pose = kinematics.relative_motion(closure, motions)[1]
-        closing.append(Wrench(*wrench_of_rows(closure, pose, multipliers)))
-        add_action_and_reaction(acting, closure, pose, *closing[-1])
-    for row in _sum_rows(system, motions, zip(system.closures, own, strict=True)):
-        add_wrenches(acting, row)
+    add_wrenches(acting, rows)
     through = list(acting)
     held = tuple(motion._replace(twist=STILL) for motion in motions)
     for subtree in system.topology.subtrees:

@@ -23,10 +23,10 @@ from jaxclear.ground.grouping import MANY
 from jaxclear.ground.quantity import constant
 from jaxclear.multibody import constraints, kinematics, transmissions, tree
 from jaxclear.multibody.constraints import ClosureEquations, Dependence
-from jaxclear.multibody.forces import Forces
+from jaxclear.multibody.forces import Forces, with_rows
 from jaxclear.multibody.kinematics import JacobianRow, along
 from jaxclear.multibody.loops import Baumgarte
-from jaxclear.multibody.rows import add_action_and_reaction, add_wrenches, forces_on_drives
+from jaxclear.multibody.rows import Direction, Row
 from jaxclear.multibody.system import System
 from jaxclear.multibody.tree import Wrench
 
@@ -160,47 +160,38 @@ def _solver(
     return lambda lacking: scaled(factorisation.solve_least(present, scaled(lacking)))
 
 
-def joint_wrenches(system: System, forces: Forces, solution: Solution) -> tuple[Wrench, ...]:
-    """Wrench that each link receives through its inboard joint (drive and coordinate loads
-    included), in the link's frame.
-
-    Reactions of loop closures act as loads here.
-    """
-    wrenches = list(forces.wrenches)
-    for closure, force, torque, pose in constraints.constraint_wrenches(
-        system, forces.motions, solution.multipliers
-    ):
-        add_action_and_reaction(wrenches, closure, pose, force, torque)
-    for row in constraints.coupling_rows(system, forces.motions, solution.multipliers):
-        add_wrenches(wrenches, row)
+def with_closures(system: System, forces: Forces, solution: Solution) -> Forces:
+    """The forces, with those of a solution that hold its loops closed."""
+    every = list(constraints.by_closure(system, forces.motions, solution.multipliers))
     meshes = [
         (transmission.closure, forces.pressing[name].torque / transmission.scale)
         for name, transmission in system.transmissions.items()
     ]
-    if system.topology.couplings:
-        rows = constraints.by_closure(system, forces.motions, solution.multipliers)
-        meshes += [(closure, transmission.get(0, 0.0)) for closure, transmission in rows]
-    for pull in transmissions.pulls_of_centres(forces.motions, meshes):
-        add_action_and_reaction(wrenches, pull.closure, pull.pose, *pull.wrench)
+    meshes += [(closure, own.get(0, 0.0)) for closure, own in every]
+    pulls = transmissions.pulls_of_centres(forces.motions, meshes)
+    rows = constraints.closing_rows(system, forces.motions, every)
+    return with_rows(forces, [*rows, *(Row("", Direction((pull,)), 1) for pull in pulls)])
+
+
+def joint_wrenches(system: System, forces: Forces, solution: Solution) -> tuple[Wrench, ...]:
+    """Wrench that each link receives through its inboard joint (drive and coordinate loads
+    included), in the link's frame, by the forces `with_closures`."""
     accelerations = kinematics.link_accelerations(system, forces.motions, solution.accelerations)
     out: list[Wrench] = []
     for subtree in system.topology.subtrees:
-        parts: tuple = (system.links, forces.motions, accelerations, wrenches)
+        parts: tuple = (system.links, forces.motions, accelerations, forces.wrenches)
         out.extend(tree.joint_wrenches(*kinematics.by_subtree(subtree, *parts)))
     return tuple(out)
 
 
 def powers(system: System, forces: Forces, solution: Solution) -> list:
     """Rates [W] of the energies of the balance, in the order of `state.ENERGIES`."""
-    driven = 0
+    driven, forces = 0, with_closures(system, forces, solution)
     wrenches = joint_wrenches(system, forces, solution)
     for index, link in enumerate(system.links):
         if drive_of(link.joint) is not None:
             twist = kinematics.joint_twist(system, forces.motions, index)
             driven = sp.add(driven, tree.power(twist, wrenches[index]))
-    coupled = constraints.coupling_rows(system, forces.motions, solution.multipliers)
-    for index, force in forces_on_drives(forces.motions, coupled).items():
-        driven = sp.sub(driven, sp.mul(force, forces.motions[index].speeds[0]))
     reports = forces.reports.values()
     return [
         sp.add(driven, forces.external_power),

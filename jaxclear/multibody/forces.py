@@ -5,7 +5,6 @@ Alike clearance joints are traced once. Constraint reactions are not forces here
 the accelerations (`dynamics`).
 """
 
-import functools
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -24,7 +23,7 @@ from jaxclear.components.load import (
     MarkerMotion,
 )
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.compiling import map_grouped, map_many
+from jaxclear.ground.compiling import map_grouped
 from jaxclear.ground.pose import Pose
 from jaxclear.laws.transmission import holding
 from jaxclear.multibody import closure_coordinates, contact_point, kinematics, transmissions, tree
@@ -36,11 +35,10 @@ from jaxclear.multibody.rows import (
     OnClosure,
     OnLink,
     Row,
-    action_and_reaction,
     add_wrenches,
     forces_on_drives,
+    row_of_wrench,
     sum_wrenches,
-    wrench_in_joint,
 )
 from jaxclear.multibody.state import Followed
 from jaxclear.multibody.system import System, body_loads, coordinate_loads
@@ -53,7 +51,7 @@ AXIS: sp.Vec = (0, 0, 1)
 class Forces(NamedTuple):
     """Everything that acts, at one instant: wrenches by link, in its axes, and forces on its
     coordinates; `stored` energy [J] of the loads, their `damping_loss` and `external_power` [W].
-    `rows`: loads and couplings on coordinates, in joints and between bodies that mesh;
+    `rows`: contacts, and loads and couplings on coordinates, in joints and between bodies;
     `followed`: what of the state coordinates outside the tree were read by; `state_rates` of loads
     and flanks, by load or coupling; `pressing`: what couplings with play or stiffness do.
     """
@@ -105,7 +103,10 @@ def applied_forces(
 ) -> Forces:
     """Wrench of contacts, loads and couplings that give on every link, and forces on coordinates;
     `followed`: what the state follows beside the motion."""
-    wrenches = _of_bearings(system, motions, reports)
+    relative = relative_motions(system, motions) if reports else []
+    poses = {name: own.pose for name, own in zip(reports, relative, strict=True)}
+    of_contacts, wrenches = contact_rows(system, poses, reports), [NOTHING] * len(system.links)
+    add_wrenches(wrenches, of_contacts)
     stored: Any
     damping: Any
     external: Any
@@ -151,7 +152,7 @@ def applied_forces(
         stored,
         damping,
         external,
-        (),
+        tuple(of_contacts),
         followed,
         rates,
         pressed,
@@ -163,8 +164,8 @@ def with_rows(forces: Forces, rows: Sequence[Row]) -> Forces:
     """The forces with more rows; of what acts on coordinates that drives prescribe, these give the
     power."""
     wrenches, coordinate_forces = list(forces.wrenches), list(map(list, forces.coordinate_forces))
+    add_wrenches(wrenches, rows)
     for row in rows:
-        add_wrenches(wrenches, row)
         for place in row.direction.places:
             if isinstance(place, OnLink) and coordinate_forces[place.link]:
                 on_link, size = coordinate_forces[place.link], sp.mul(place.factor, row.force)
@@ -180,31 +181,16 @@ def with_rows(forces: Forces, rows: Sequence[Row]) -> Forces:
     )
 
 
-def _of_bearings(
-    system: System, motions: tuple[Motion, ...], reports: dict[str, JointReport]
-) -> list[Wrench]:
-    """Wrench of the clearance joints on every link."""
-    own: list[list[Wrench]] = [[] for _ in system.links]
-    closures = [system.bearings[name].closure for name in reports]
-    relative = kinematics.relative_motions(closures, motions)
-    pairs = zip(closures, relative, reports.values(), strict=True)
-    calls = [
-        (
-            None if closure.parent_link is None else closure.parent,
-            None if closure.child_link is None else closure.child,
-            *(seen.pose, report.force, report.torque),
+def contact_rows(
+    system: System, poses: dict[str, Pose], reports: dict[str, JointReport]
+) -> list[Row]:
+    """What the contacts of clearance joints do, by the poses of the journals in their bearings."""
+    return [
+        row_of_wrench(
+            name, system.bearings[name].closure, poses[name], Wrench(own.force, own.torque), name
         )
-        for closure, seen, report in pairs
+        for name, own in reports.items()
     ]
-    for closure, (on_child, on_parent) in zip(
-        closures, map_many(action_and_reaction, calls), strict=True
-    ):
-        if closure.child_link is not None:
-            own[closure.child_link].append(on_child)
-        if closure.parent_link is not None:
-            own[closure.parent_link].append(on_parent)
-    total = lambda *each: functools.reduce(sum_wrenches, each, NOTHING)
-    return map_many(total, [tuple(each) for each in own])
 
 
 def _friction_of_coupling(
@@ -301,8 +287,8 @@ def load_rows(
     effect = pressed.effect(time, positions, speeds, states)
     if isinstance(load, AbstractJointLoad):
         closure, (motion,) = system.load_closures[name], positions
-        place = OnClosure(closure, motion.pose, Wrench(*effect.forces), load.connection)
-        return effect, [Row(name, Direction((place,)), 1)]
+        wrench = Wrench(*effect.forces)
+        return effect, [row_of_wrench(name, closure, motion.pose, wrench, load.connection)]
     forces = zip(directions, effect.forces, strict=True)
     return effect, [Row(name, direction, force) for direction, force in forces]
 
@@ -322,18 +308,6 @@ def read_load(
     every = [read_coordinate(system, motions, place, followed) for place in load.coordinates()]
     positions, speeds, directions = (tuple(own[part] for own in every) for part in range(3))
     return positions, speeds, directions
-
-
-def wrench_of_joint_loads(
-    system: System, motions: tuple[Motion, ...], joint: str, time: Any, followed: Followed
-) -> Wrench:
-    """The sum of the loads in a joint, on its child about its marker, in the parent marker's
-    axes."""
-    rows: list[Row] = []
-    for name in system.load_closures:
-        if system.loads[name].connection == joint:
-            rows += load_rows(system, motions, name, time, followed)[1]
-    return wrench_in_joint(rows, joint)
 
 
 def force_of(

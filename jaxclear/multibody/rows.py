@@ -2,13 +2,15 @@
 
 A direction is a unit force at one or more places: a force on the coordinate of a link, or a wrench
 between two markers. Its rate, its Jacobian row and the wrenches on the links follow by virtual
-power. Whatever acts but contacts is a row, so reports are sums over rows.
+power. Whatever acts is a row, so reports are sums over rows.
 """
 
-from collections.abc import Iterable
+import functools
+from collections.abc import Iterable, Iterator
 from typing import Any, NamedTuple
 
 from jaxclear.ground import sparse as sp
+from jaxclear.ground.compiling import map_many
 from jaxclear.ground.pose import Pose
 from jaxclear.multibody import kinematics, tree
 from jaxclear.multibody.kinematics import JacobianRow, along
@@ -130,21 +132,45 @@ class Row(NamedTuple):
     force: Any
 
 
-def add_wrenches(wrenches: list[Wrench], row: Row) -> None:
-    """Adds what a row does between markers to the wrenches on the links."""
-    for place in row.direction.places:
-        if isinstance(place, OnClosure):
-            add_action_and_reaction(wrenches, place.closure, place.pose, *_sized(row, place))
+def row_of_wrench(owner: str, closure: Closure, pose: Pose, wrench: Wrench, joint: str) -> Row:
+    """A wrench in a joint, on its child about its marker, in the parent marker's axes."""
+    return Row(owner, Direction((OnClosure(closure, pose, wrench, joint),)), 1)
 
 
-def wrench_in_joint(rows: Iterable[Row], joint: str) -> Wrench:
-    """The sum of rows in a joint, on its child about its marker, in the parent marker's axes."""
-    total = NOTHING
+def add_wrenches(wrenches: list[Wrench], rows: Iterable[Row]) -> None:
+    """Adds what rows do between markers to the wrenches on the links."""
+    places, calls = [], []
+    acting: list[list[Wrench]] = [[] for _ in wrenches]
+    for row, place in _on_closures(rows):
+        closure = place.closure
+        ends = (
+            None if closure.parent_link is None else closure.parent,
+            None if closure.child_link is None else closure.child,
+        )
+        places.append((closure.child_link, closure.parent_link))
+        calls.append((*ends, place.pose, *_sized(row, place)))
+    for links, ends in zip(places, map_many(_action_and_reaction, calls), strict=True):
+        for link, wrench in zip(links, ends, strict=True):
+            if link is not None:
+                acting[link].append(wrench)
+    total = lambda *each: functools.reduce(sum_wrenches, each)
+    moved = [i for i, own in enumerate(acting) if own]
+    sums = map_many(total, [(wrenches[i], *acting[i]) for i in moved])
+    for i, wrench in zip(moved, sums, strict=True):
+        wrenches[i] = wrench
+
+
+def _on_closures(rows: Iterable[Row]) -> Iterator[tuple[Row, OnClosure]]:
     for row in rows:
         for place in row.direction.places:
-            if isinstance(place, OnClosure) and place.joint == joint:
-                total = sum_wrenches(total, _sized(row, place))
-    return total
+            if isinstance(place, OnClosure):
+                yield row, place
+
+
+def wrench_in_joint(rows: Iterable[Row], joint: str | None) -> Wrench:
+    """The sum of rows in a joint, on its child about its marker, in the parent marker's axes."""
+    pairs = (_sized(*pair) for pair in _on_closures(rows) if pair[1].joint == joint)
+    return functools.reduce(sum_wrenches, pairs, NOTHING)
 
 
 def forces_on_drives(motions: tuple[Motion, ...], rows: Iterable[Row]) -> dict[int, Any]:
@@ -163,21 +189,7 @@ def _sized(row: Row, place: OnClosure) -> Wrench:
     return Wrench(*(sp.scale(size, part) for part in place.wrench))
 
 
-def add_action_and_reaction(
-    wrenches: list[Wrench], closure: Closure, pose: Pose, force: sp.Vec, torque: sp.Vec
-) -> None:
-    """Add a wrench on the closure's child about its marker, in the parent marker's axes, and its
-    opposite on the parent.
-    """
-    parent = None if closure.parent_link is None else closure.parent
-    child = None if closure.child_link is None else closure.child
-    on_child, on_parent = action_and_reaction(parent, child, pose, force, torque)
-    for link, wrench in ((closure.child_link, on_child), (closure.parent_link, on_parent)):
-        if link is not None:
-            wrenches[link] = sum_wrenches(wrenches[link], wrench)
-
-
-def action_and_reaction(
+def _action_and_reaction(
     parent: Pose | None, child: Pose | None, pose: Pose, force: sp.Vec, torque: sp.Vec
 ) -> tuple[Any, Any]:
     """Wrenches on the links of the child's marker and of the parent's, in their axes; None where

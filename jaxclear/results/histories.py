@@ -30,7 +30,7 @@ from jaxclear.ground.quantity import is_traced, on_numbers
 from jaxclear.ground.table import as_table
 from jaxclear.ground.warning import warn
 from jaxclear.ground.wording import public_name
-from jaxclear.multibody import constraints, dynamics, kinematics, transmissions, tree
+from jaxclear.multibody import constraints, dynamics, kinematics, tree
 from jaxclear.multibody.dynamics import Solution
 from jaxclear.multibody.forces import Forces
 from jaxclear.multibody.mechanism import Mechanism
@@ -393,11 +393,16 @@ def is_unique(history: StateHistory, name: str, what: str) -> bool:
 def _reaction(history, name):
     def one(now):
         system, forces, solution = solved(history, now)
-        if name in system.load_closures and name not in history.mechanism.connections:
-            return _load_reaction(now, forces, name)
+        forces = dynamics.with_closures(system, forces, solution)
+        if name not in history.mechanism.connections:
+            rows = [row for row in forces.rows if row.owner == name]
+            place = next(place for row in rows for place in row.direction.places)
+            return _in_ground(now, place.closure, rows, place.joint)
         if system.topology.branch_of(name) is not None:
             return _branch_reaction(now, forces, solution, name)
-        return _closure_reaction(now, forces, solution, name)
+        closures = dict(zip(system.topology.loops, system.closures, strict=True))
+        closures |= {joint: bearing.closure for joint, bearing in system.bearings.items()}
+        return _in_ground(now, closures[name], forces.rows, name)
 
     return ReactionHistory(*map(columns, over_time(history, one)))
 
@@ -412,41 +417,18 @@ def _branch_reaction(now, forces, solution, name):
     force, torque = sp.apply(rotation, wrench.force), sp.apply(rotation, wrench.torque)
     if branch.reversed:
         force, torque = (tuple(sp.neg(x) for x in part) for part in (force, torque))
-    for load in system.load_closures:
-        if system.loads[load].connection == name:
-            more, moment = _load_reaction(now, forces, load)
-            force, torque = sp.plus(force, more), sp.plus(torque, moment)
-    return force, torque
+    loads = [load for load in system.load_closures if system.loads[load].connection == name]
+    if not loads:
+        return force, torque
+    more, moment = _in_ground(now, system.load_closures[loads[0]], forces.rows, name)
+    return sp.plus(force, more), sp.plus(torque, moment)
 
 
-def _load_reaction(now, forces, load):
-    """Of a load in a joint."""
-    closure, joint = now.model.system.load_closures[load], now.model.system.loads[load].connection
-    wrench = wrench_in_joint([row for row in forces.rows if row.owner == load], joint)
+def _in_ground(now, closure, rows, joint):
+    """The sum of rows in a joint between the markers of a closure."""
+    wrench = wrench_in_joint(rows, joint)
     rotation = kinematics.relative_motion(closure, now.motions)[0].parent_pose.rotation
     return sp.apply(rotation, wrench.force), sp.apply(rotation, wrench.torque)
-
-
-def _closure_reaction(now, forces, solution, name):
-    """Of a clearance joint, or one that closes a loop."""
-    system, topology = now.model.system, now.model.system.topology
-    if name in topology.clearances:
-        closure, report = system.bearings[name].closure, forces.reports[name]
-        force, torque = report.force, report.torque
-    elif name in system.transmissions:
-        coupling = system.transmissions[name]
-        (mesh,) = transmissions.twist_direction(now.motions, coupling).places
-        size = -forces.pressing[name].torque / coupling.scale
-        closure, (force, torque) = mesh.closure, (sp.scale(size, x) for x in mesh.wrench)
-    else:
-        loop = system.closures[topology.loops.index(name)]
-        wrenches = constraints.constraint_wrenches(system, now.motions, solution.multipliers)
-        closure, force, torque, _ = next(entry for entry in wrenches if entry[0] is loop)
-    rows = (*forces.rows, *constraints.coupling_rows(system, now.motions, solution.multipliers))
-    acting = wrench_in_joint(rows, name)
-    force, torque = sp.plus(force, acting.force), sp.plus(torque, acting.torque)
-    rotation = kinematics.relative_motion(closure, now.motions)[0].parent_pose.rotation
-    return sp.apply(rotation, force), sp.apply(rotation, torque)
 
 
 @eqx.filter_jit
@@ -455,15 +437,14 @@ def driving(history: StateHistory, name: str) -> Float[Array, " time"]:
 
     def one(now):
         system, forces, solution = solved(history, now)
+        forces = dynamics.with_closures(system, forces, solution)
         index = system.topology.branches.index(system.topology.branch_of(name))
         wrench = dynamics.joint_wrenches(system, forces, solution)[index]
         joint = system.links[index].joint
         (column,) = joint.columns((joint.drive.motion(now.time)[0],))
         along = tree.power(column, wrench)
         # What couplings do along its coordinate comes through no body.
-        rows = constraints.coupling_rows(system, now.motions, solution.multipliers)
-        on_drives = forces_on_drives(now.motions, (*forces.rows, *rows))
-        along = sp.sub(along, on_drives.get(index, 0))
+        along = sp.sub(along, forces_on_drives(now.motions, forces.rows).get(index, 0))
         return jnp.asarray(along, float)
 
     return over_time(history, one)

@@ -25,8 +25,9 @@ from jaxclear.components.clearance import AbstractClearance
 from jaxclear.formulations.permanent_reactions import Reaction
 from jaxclear.ground import sparse as sp
 from jaxclear.multibody import closure_coordinates, constraints, contact_point, kinematics
+from jaxclear.multibody.forces import with_rows
 from jaxclear.multibody.given import speed_scales
-from jaxclear.multibody.rows import add_action_and_reaction
+from jaxclear.multibody.rows import Row, row_of_wrench
 from jaxclear.multibody.start_equations import retract
 from jaxclear.multibody.state import unpack_motion
 from jaxclear.multibody.system import System, longest_arm, prepare
@@ -218,7 +219,7 @@ def resting(case: Case, q: Array, multipliers: Array, pushes: Array) -> Resting:
     marker, in the axes of the parent's marker."""
     places, rates, motions = _motions(case.system, q)
     system, forces = acting(case.system, motions, places, rates, case.side, case.angles)
-    wrenches, contacts, first = list(forces.wrenches), {}, 0
+    contacts, first = list[Row](), 0
     for name, bearing in system.bearings.items():
         pose = kinematics.relative_motion(bearing.closure, motions)[1]
         gaps = contact_point.gap_function(bearing.joint, pose, {})
@@ -229,10 +230,9 @@ def resting(case: Case, q: Array, multipliers: Array, pushes: Array) -> Resting:
             turns = zip(axes, contact.axis_slopes, strict=True)
             torque = sp.plus(torque, *(sp.scale(-push, sp.cross(a, turn)) for a, turn in turns))
         first += len(gaps)
-        add_action_and_reaction(wrenches, bearing.closure, pose, force, torque)
-        contacts[name] = Wrench(force, torque)
-    forces = forces._replace(wrenches=tuple(wrenches))
-    reactions = reactions_of(system, forces, tuple(multipliers), places, contacts)
+        contacts.append(row_of_wrench(name, bearing.closure, pose, Wrench(force, torque), name))
+    forces = with_rows(forces, contacts)
+    reactions = reactions_of(system, forces, tuple(multipliers), places)
     return Resting(system, motions, reactions)
 
 

@@ -42,12 +42,12 @@ from jaxclear.multibody.forces import Forces, applied_forces
 from jaxclear.multibody.given import speed_scales
 from jaxclear.multibody.mechanism import Mechanism, rebuilt
 from jaxclear.multibody.newton import shortened
-from jaxclear.multibody.rows import sum_wrenches, wrench_in_joint
+from jaxclear.multibody.rows import wrench_in_joint
 from jaxclear.multibody.start_equations import retract
 from jaxclear.multibody.state import Followed, unpack_motion
 from jaxclear.multibody.system import System, acting_in, longest_arm, motor_ends, prepare
 from jaxclear.multibody.topology import motor_name
-from jaxclear.multibody.tree import Motion, Wrench
+from jaxclear.multibody.tree import Motion
 from jaxclear.native import while_loop
 
 # Numbers of a seat: offset (x, y, z) [m] and slope (dx/dz, dy/dz) of the axis [1].
@@ -275,7 +275,7 @@ def standing(scene: Posed, q: Any, seats: dict[str, tuple], side: float = 1.0) -
     loaded, forces = acting(system, motions, places, rates, side)
     transposed = [[row.get(j, 0) for row in jacobian] for j in range(count)]
     multipliers = scene.among(len(every), solved(transposed, unheld(loaded, forces)))
-    reactions = reactions_of(loaded, forces, multipliers, places, {})
+    reactions = reactions_of(loaded, forces, multipliers, places)
     pressed = {}
     for name, gap in scene.gaps.items():
         offset, slope = gap.seat(*reactions[name])
@@ -365,19 +365,15 @@ def unheld(system: System, forces: Forces) -> list:
 
 
 def reactions_of(
-    system: System, forces: Forces, multipliers: tuple, places: tuple, contacts: dict[str, Wrench]
+    system: System, forces: Forces, multipliers: tuple, places: tuple
 ) -> dict[str, Reaction]:
-    """Reaction of every connection; `contacts`: sums of the contact forces of each joint with
-    clearance, on its child about its marker, in the parent marker's axes."""
-    wrenches = constraints.constraint_wrenches(system, forces.motions, multipliers)
-    closed = [Wrench(force, torque) for _, force, torque, _ in wrenches]
-    outside = dict(zip(system.topology.loops, closed, strict=True)) | contacts
-    rows = (*forces.rows, *constraints.coupling_rows(system, forces.motions, multipliers))
-    reactions = {
-        name: Reaction(*sum_wrenches(wrench, wrench_in_joint(rows, name)))
-        for name, wrench in outside.items()
-    }
+    """Reaction of every connection."""
     still = Solution(tuple((0,) * len(motion.columns) for motion in forces.motions), multipliers)
+    forces = dynamics.with_closures(system, forces, still)
+    reactions = {
+        name: Reaction(*wrench_in_joint(forces.rows, name))
+        for name in (*system.topology.loops, *system.bearings)
+    }
     through = dynamics.joint_wrenches(system, forces, still)
     for index, branch in enumerate(system.topology.branches):
         drive = drive_of(system.links[index].joint)

@@ -113,8 +113,8 @@ class MonteCarlo(AbstractAnswer):
         """Indices of the samples that carry a warning which concerns this response (peak forces
         that the steps do not resolve concern no position)."""
         check_name("response", response, self.responses, " in this study")
-        found = warned_of(self.problem, response, self.checks, self.count)
-        return np.setdiff1d(np.flatnonzero(found), self.failed)
+        codes = warned_of(self.problem, response, self.checks, self.count)
+        return np.setdiff1d(np.flatnonzero(codes), self.failed)
 
     @property
     def count(self) -> int:
@@ -129,8 +129,8 @@ class MonteCarlo(AbstractAnswer):
 
     def doubts_of(self, *responses: str) -> tuple[str, ...]:
         """The `doubts` that concern these responses."""
-        told = () if self.replicas is None else self.replicas.doubts(self.problem, *responses)
-        return (*told, *self.problem.description.warnings)
+        doubts = () if self.replicas is None else self.replicas.doubts(self.problem, *responses)
+        return (*doubts, *self.problem.description.warnings)
 
     def numerical_error(
         self, response: str, statistic: Callable[[np.ndarray], float] = np.mean
@@ -151,7 +151,7 @@ class MonteCarlo(AbstractAnswer):
         text = f"{self.count} samples, {len(self.failed)} failed, {len(self.warned)} with warnings"
         counts = counted(self.checks, np.isin(np.arange(self.count), self.warned))
         text = f"{text} ({in_words(counts)})." if counts else f"{text}."
-        told = (
+        sentences = (
             text,
             *self.doubts,
             unverified(self.problem, self.replicas),
@@ -159,12 +159,12 @@ class MonteCarlo(AbstractAnswer):
             self.unreached,
             self.problem.description.remark,
         )
-        return " ".join(filter(None, told))
+        return " ".join(filter(None, sentences))
 
     def _shown(self):
-        lost = [f"The first that failed: {failure(self, int(i))}" for i in self.failed[:1]]
+        failures = [f"The first that failed: {failure(self, int(i))}" for i in self.failed[:1]]
         summary = self.summary()
-        return self.sentence(), *lost, *spread_of(summary), *remarks_of(self, summary)
+        return self.sentence(), *failures, *spread_of(summary), *remarks_of(self, summary)
 
     def _stated(self):
         problem, over = self.problem, ("sample",)
@@ -188,7 +188,7 @@ class MonteCarlo(AbstractAnswer):
             worst = np.asarray(figure.worst).reshape(self.count, -1).max(axis=1)
             meaning = f"worst figure of this check, whose limit is {check.limit:g}"
             data[f"check {check.name.lower()}"] = Column(over, worst, "1", meaning)
-        columns |= {name: own._replace(only=DATASET) for name, own in data.items()}
+        columns |= {name: column._replace(only=DATASET) for name, column in data.items()}
         if self.replicas is not None:
             for n, values in self.replicas.responses.items():
                 columns[finer_name(n)] = Column(("replica",), values, units[n], FINER)
@@ -200,8 +200,8 @@ class MonteCarlo(AbstractAnswer):
     def good(self, response: str) -> tuple[np.ndarray, np.ndarray]:
         """A response of the samples that did not fail, and their scramblings."""
         check_name("response", response, self.responses, " in this study")
-        kept = np.setdiff1d(np.arange(self.count), self.failed)
-        return self.responses[response][kept], self.scrambling[kept]
+        indices = np.setdiff1d(np.arange(self.count), self.failed)
+        return self.responses[response][indices], self.scrambling[indices]
 
     def statistic(self, function: Callable[[np.ndarray], float], response: str) -> Statistic:
         """Any smooth function of a sample (samples,), such as `scipy.stats.skew`, with its error.
@@ -342,8 +342,8 @@ def monte_carlo(
     check_flags("monte_carlo", verify=verify, progress_bar=progress_bar)
     if chunk is not None:
         check_count("chunk of monte_carlo", chunk)
-    asked = asked_of(accuracy, problem.response_names)
-    first = samples if asked is None else min(samples, FIRST_SAMPLES)
+    request = asked_of(accuracy, problem.response_names)
+    first = samples if request is None else min(samples, FIRST_SAMPLES)
     parts = checked_scramblings("monte_carlo", first, scramblings)
     chunk = chunk_size(problem, first, chunk)
     run = lambda values: evaluate_all(
@@ -351,7 +351,7 @@ def monte_carlo(
     )
     drawing = Drawing(problem, seed, sampling, parts)
     sample, short = Grown(drawing, run, chunk), ""
-    if asked is None:
+    if request is None:
         sample.to(samples)
     else:
 
@@ -359,16 +359,16 @@ def monte_carlo(
             sample.to(count)
             return [(sample.found.reached_responses(), groups(count, parts))]
 
-        short = until_accurate(problem, first_of(first, parts), samples, asked, grown)
-    found, values, reached = sample.found, sample.values, sample.found.reached_responses()
-    ends = (np.asarray(found.outcome), np.asarray(found.ended))
-    told = (
+        short = until_accurate(problem, first_of(first, parts), samples, request, grown)
+    result, values, reached = sample.found, sample.values, sample.found.reached_responses()
+    ends = (np.asarray(result.outcome), np.asarray(result.ended))
+    arguments = (
         {name: reached[name] for name in problem.response_names},
         *ends,
         seed,
         chunk,
-        found.checks,
+        result.checks,
         groups(len(values), parts),
     )
-    replicas = replicas_of(problem, values, found, chunk, progress_bar) if verify else None
-    return MonteCarlo(problem, values, *told, short, replicas)
+    replicas = replicas_of(problem, values, result, chunk, progress_bar) if verify else None
+    return MonteCarlo(problem, values, *arguments, short, replicas)

@@ -72,9 +72,9 @@ def check_sampled(problem: Any, samples: Any, seed: Any, sampling: Any = "sobol"
         raise ValueError("the problem has no variables; nothing would vary: give it some.")
 
 
-def checked_scramblings(owner: str, samples: int, given: Any) -> int:
+def checked_scramblings(owner: str, samples: int, count: Any) -> int:
     """The scramblings given, or the usual ones. Raises `ValueError` with a sentence."""
-    parts = usual_scramblings(samples) if given is None else given
+    parts = usual_scramblings(samples) if count is None else count
     check_count(f"scramblings of {owner}", parts)
     if parts > samples:
         raise ValueError(f"{samples} samples cannot be {parts} scramblings; take fewer of these.")
@@ -137,13 +137,13 @@ def _values(inputs: Inputs, normal: np.ndarray, first: int) -> np.ndarray:
     Each is computed at the same place of the same block, whatever is drawn with it."""
     rows, count = normal.shape
     before = first % BLOCK
-    room = np.zeros((before + rows + -(before + rows) % BLOCK, count))
-    room[before : before + rows] = normal
-    found = [np.zeros((0, count))]
-    for number, block in enumerate(room.reshape(-1, BLOCK, count), first // BLOCK):
+    padded = np.zeros((before + rows + -(before + rows) % BLOCK, count))
+    padded[before : before + rows] = normal
+    columns = [np.zeros((0, count))]
+    for number, block in enumerate(padded.reshape(-1, BLOCK, count), first // BLOCK):
         compute = inputs.values if number * BLOCK < MANY else partial(_of_block, inputs)
-        found.append(np.asarray(compute(jnp.asarray(block))))
-    return np.concatenate(found)[before : before + rows]
+        columns.append(np.asarray(compute(jnp.asarray(block))))
+    return np.concatenate(columns)[before : before + rows]
 
 
 @eqx.filter_jit

@@ -40,8 +40,7 @@ class PlasticContact(jc.formulation.AbstractFormulation):
         return instant.forces(jc.formulation.reports_of_means(instant))
 
     def contact(self, instant, name):
-        report = jc.formulation.reports_of_means(instant)[name]
-        return jc.formulation.clearance_contact(instant, report, name)
+        return jc.formulation.clearance_contact(instant, self.forces(instant), name)
 
     def step(self, model, time_step, state, sweeps):
         """Explicit in the loads; contacts that overlap in the middle of the step are stopped."""

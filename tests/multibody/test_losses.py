@@ -119,6 +119,10 @@ def test_a_jack_takes_the_torque_of_the_textbook(speed, flank):
     raises = 1 if speed < 0 else -1
     torque = float(run.transmitted("A")[-1])
     np.testing.assert_allclose(np.sign(speed) * raises * torque, shigley(raises, flank), rtol=1e-6)
+    # the thread's friction is in what it does: it carries the load, and turns the nut as the drive
+    thread = run.reaction("thread")
+    np.testing.assert_allclose(thread.force[-1, 2], LOAD, rtol=1e-6)
+    np.testing.assert_allclose(thread.torque[-1, 2], torque, rtol=1e-6)
     np.testing.assert_allclose(run.energy_balance().error, 0.0, atol=1e-3)
 
 

@@ -171,7 +171,7 @@ class Processes(AbstractCost):
         for name, cost in processes.items():
             expect(cost, AbstractCost, f'process "{name}"', "one of jaxclear.cost, such as Process")
         self.names, self.costs = tuple(processes), tuple(processes.values())
-        self.ranges = jnp.asarray([own.known() for own in self.costs])
+        self.ranges = jnp.asarray([cost.known() for cost in self.costs])
         self.held = jnp.asarray(-1)
 
     def known(self):
@@ -180,7 +180,7 @@ class Processes(AbstractCost):
     def __call__(self, tolerance):
         low, high = self.ranges.T
         reached = jnp.clip(tolerance, low, high)
-        each = jnp.stack([cost(own) for cost, own in zip(self.costs, reached, strict=True)])
+        each = jnp.stack([cost(value) for cost, value in zip(self.costs, reached, strict=True)])
         cheapest = jnp.min(jnp.where(tolerance < low * (1 - ROUNDING), jnp.inf, each))
         return jnp.where(self.held < 0, cheapest, each[jnp.maximum(self.held, 0)])
 

@@ -68,19 +68,19 @@ class AbstractDistribution(AbstractQuantified):
         Returns:
             The score [1], within +-8.3.
         """
-        wanted = jax.lax.stop_gradient(deviation)
+        target = jax.lax.stop_gradient(deviation)
 
         def halved(_, span):
             low, high = span
             middle = 0.5 * (low + high)
-            above = self.of_score(middle) > wanted
+            above = self.of_score(middle) > target
             return jnp.where(above, low, middle), jnp.where(above, middle, high)
 
         edge = jnp.full(jnp.shape(deviation), LARGEST_SCORE)
         low, high = jax.lax.fori_loop(0, HALVINGS, halved, (-edge, edge))
-        found = jax.lax.stop_gradient(0.5 * (low + high))
-        value, slope = jax.jvp(self.of_score, (found,), (jnp.ones_like(found),))
-        return found + safe_divide(deviation - value, slope)
+        score = jax.lax.stop_gradient(0.5 * (low + high))
+        value, slope = jax.jvp(self.of_score, (score,), (jnp.ones_like(score),))
+        return score + safe_divide(deviation - value, slope)
 
     def width(self) -> tuple[str, Scalar]:
         """Name and value of the number that describes the width of the distribution.
@@ -98,6 +98,6 @@ class AbstractDistribution(AbstractQuantified):
         ends = jnp.array([-END_SCORE, END_SCORE])
         _, slopes = jax.jvp(self.of_score, (ends,), (jnp.ones(2),))
         with np.errstate(divide="ignore"):
-            found = np.exp(-0.5 * END_SCORE**2) / np.sqrt(2 * np.pi) / np.asarray(slopes)
-        found = np.where(found * float(self.deviation()) > LEAST_END_DENSITY, found, 0.0)
-        return float(found[0]), float(found[1])
+            density = np.exp(-0.5 * END_SCORE**2) / np.sqrt(2 * np.pi) / np.asarray(slopes)
+        density = np.where(density * float(self.deviation()) > LEAST_END_DENSITY, density, 0.0)
+        return float(density[0]), float(density[1])

@@ -45,8 +45,8 @@ class Uniform(AbstractDistribution):
     def score(self, deviation):
         # From the nearer end, where the share has digits left.
         upper, ratio = deviation > 0, deviation / self.half_width
-        found = ndtri(0.5 * (1.0 + jnp.where(upper, -ratio, ratio)))
-        return jnp.where(upper, -found, found)
+        score = ndtri(0.5 * (1.0 + jnp.where(upper, -ratio, ratio)))
+        return jnp.where(upper, -score, score)
 
     def deviation(self):
         return self.half_width / 3.0**0.5
@@ -76,8 +76,8 @@ class TruncatedNormal(AbstractDistribution):
         low = ndtr(-self.bound / self.standard_deviation)
         upper = score > 0
         share = low + ndtr(jnp.where(upper, -score, score)) * (1.0 - 2.0 * low)
-        found = self.standard_deviation * ndtri(share)
-        return jnp.where(upper, -found, found)
+        deviation = self.standard_deviation * ndtri(share)
+        return jnp.where(upper, -deviation, deviation)
 
     def deviation(self):
         ratio = self.bound / self.standard_deviation

@@ -198,7 +198,7 @@ class Independent(AbstractJointDistribution):
 
     def __init__(self, names: Sequence[str], members: Sequence[Any]):
         self.names, self.members = tuple(names), tuple(members)
-        count = sum(len(own) for own in map(marginals_of, self.members))
+        count = sum(len(marginals) for marginals in map(marginals_of, self.members))
         if count != len(self.names):
             raise ValueError(
                 f"distribution.Independent has {len(self.names)} names of parts and distributions "
@@ -216,20 +216,20 @@ class Independent(AbstractJointDistribution):
         return self._each(deviations, "scores", "score")
 
     def marginals(self):
-        return tuple(one for own in self.members for one in marginals_of(own))
+        return tuple(one for member in self.members for one in marginals_of(member))
 
     def nearest(self, deviations):
         return self._each(deviations, "nearest", "")
 
     def _each(self, numbers, together, alone):
         """What a method of the members, of that name, makes of their numbers; "": nothing."""
-        found, first = [], 0
-        for own in self.members:
-            some = numbers[..., first : first + len(marginals_of(own))]
-            name = together if isinstance(own, AbstractJointDistribution) else alone
-            found.append(getattr(own, name)(some) if name else some)
+        parts, first = [], 0
+        for member in self.members:
+            some = numbers[..., first : first + len(marginals_of(member))]
+            name = together if isinstance(member, AbstractJointDistribution) else alone
+            parts.append(getattr(member, name)(some) if name else some)
             first += some.shape[-1]
-        return jnp.concatenate(found, axis=-1)
+        return jnp.concatenate(parts, axis=-1)
 
 
 def marginals_of(distribution: Any) -> tuple[AbstractDistribution, ...]:

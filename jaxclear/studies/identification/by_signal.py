@@ -58,36 +58,36 @@ def by_signal(
         name: tuple(fit_signal(model, record, **how) for model, record in every)
         for name, every in models.items()
     }
-    kept = kept_models(fits)
+    retained = kept_models(fits)
     unknowns: dict[str, dict[str, CredibleInterval]] = {}
     answers: dict[str, dict[str, CredibleInterval]] = {}
     between: dict[str, dict[str, NextRecord]] = {}
-    for name in kept.models:
-        own, problem = fits[name], models[name][0][0].problem
-        told = [{**fit.unknowns, **fit.answers} for fit in own]
-        found = {key: interval_of([each[key] for each in told]) for key in told[0]}
-        unknowns[name] = {key: _within(problem, key, found[key]) for key in own[0].unknowns}
-        answers[name] = {key: found[key] for key in own[0].answers}
-        if len(own) >= FEWEST:
-            between[name] = {key: next_record([each[key] for each in told]) for key in told[0]}
+    for name in retained.models:
+        chosen, problem = fits[name], models[name][0][0].problem
+        rows = [{**fit.unknowns, **fit.answers} for fit in chosen]
+        intervals = {key: interval_of([each[key] for each in rows]) for key in rows[0]}
+        unknowns[name] = {key: _within(problem, key, intervals[key]) for key in chosen[0].unknowns}
+        answers[name] = {key: intervals[key] for key in chosen[0].answers}
+        if len(chosen) >= FEWEST:
+            between[name] = {key: next_record([each[key] for each in rows]) for key in rows[0]}
     shared, rest = _shared(unknowns)
-    return BySignal(fits, kept, shared, _shared(answers)[0], rest, between)
+    return BySignal(fits, retained, shared, _shared(answers)[0], rest, between)
 
 
-def _within(problem: Problem, name: str, own: CredibleInterval) -> CredibleInterval:
+def _within(problem: Problem, name: str, interval: CredibleInterval) -> CredibleInterval:
     """An interval of an unknown within the ends of its prior."""
     place = problem.names.index(name)
     distribution, nominal = problem.inputs.distributions[place], float(problem.nominal()[place])
     low, high = (nominal + float(distribution.quantile(jnp.asarray(end))) for end in (0.0, 1.0))
-    return own._replace(low=max(own.low, low), high=min(own.high, high))
+    return interval._replace(low=max(interval.low, low), high=min(interval.high, high))
 
 
 def _shared(
     every: dict[str, dict[str, CredibleInterval]],
 ) -> tuple[dict[str, CredibleInterval], dict[str, dict[str, CredibleInterval]]]:
     """What all models tell of, together; and what only some do, by model."""
-    told = list(every.values())
-    names = [n for n in told[0] if all(n in own for own in told)] if told else []
-    shared = {name: hull([own[name] for own in told]) for name in names}
-    rest = {model: {n: x for n, x in own.items() if n not in names} for model, own in every.items()}
-    return shared, {model: own for model, own in rest.items() if own}
+    rows = list(every.values())
+    names = [n for n in rows[0] if all(n in row for row in rows)] if rows else []
+    shared = {name: hull([row[name] for row in rows]) for name in names}
+    rest = {model: {n: x for n, x in row.items() if n not in names} for model, row in every.items()}
+    return shared, {model: row for model, row in rest.items() if row}

@@ -92,12 +92,12 @@ class Settling(NamedTuple):
 
     def responses(self) -> dict[str, tuple[float, float]]:
         """Mean of each response over the cycles taken, and its standard error."""
-        found = {}
+        means = {}
         for name in self.last.responses:
-            own = np.array([c.responses[name] for c in self.taken])
-            error = correlation_factor(own) * float(standard_error(own))
-            found[name] = float(own.mean()), error
-        return found
+            values = np.array([c.responses[name] for c in self.taken])
+            error = correlation_factor(values) * float(standard_error(values))
+            means[name] = float(values.mean()), error
+        return means
 
 
 def _means(of_cycles: list[Worn]) -> Worn:
@@ -122,12 +122,12 @@ def correlation_factor(values: Any) -> float:
 
     Source: Box, Jenkins & Reinsel 2008, Time Series Analysis, 4th ed., chapter 2.
     """
-    apart = np.asarray(values) - np.mean(values)
-    spread = float(np.sum(apart * apart))
-    if len(apart) < 2 or spread == 0:
+    deviations = np.asarray(values) - np.mean(values)
+    spread = float(np.sum(deviations * deviations))
+    if len(deviations) < 2 or spread == 0:
         return 1.0
-    alike = min(max(float(np.sum(apart[1:] * apart[:-1])) / spread, 0.0), MOST_CORRELATED)
-    return float(np.sqrt((1 + alike) / (1 - alike)))
+    rho = min(max(float(np.sum(deviations[1:] * deviations[:-1])) / spread, 0.0), MOST_CORRELATED)
+    return float(np.sqrt((1 + rho) / (1 - rho)))
 
 
 def settle(
@@ -151,9 +151,9 @@ def settle(
         if len(cycles) >= least and one.distance <= patience.within and ready(one):
             return Settling(tuple(cycles), True, 1)
         # The first one falls into its place.
-        found = Settling(tuple(cycles), False, len(cycles) - 1)
-        known = found.measured >= FEWEST and found.relative_noise <= patience.noise
-        if known and patience.noise < 1 and ready(one):
-            return found
-    wanted = len(cycles) - 1 if patience.noise < 1 else len(cycles) // 2
-    return Settling(tuple(cycles), False, max(1, wanted))
+        settling = Settling(tuple(cycles), False, len(cycles) - 1)
+        is_measured = settling.measured >= FEWEST and settling.relative_noise <= patience.noise
+        if is_measured and patience.noise < 1 and ready(one):
+            return settling
+    mean_count = len(cycles) - 1 if patience.noise < 1 else len(cycles) // 2
+    return Settling(tuple(cycles), False, max(1, mean_count))

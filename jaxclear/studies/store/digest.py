@@ -126,10 +126,10 @@ class _Description:
         else:
             # Of a user's class by its attributes and what the class does, of a library's by how it
             # shows itself, or by its attributes where that says nothing.
-            shown = sorted(map(repr, thing)) if isinstance(thing, (set, frozenset)) else thing
-            text, held = repr(shown), _attributes(thing)
-            if not _is_library(type(thing).__module__) or (ADDRESS.search(text) and held):
-                self.texts[path], parts = self._add_class(type(thing), ancestors), held
+            value = sorted(map(repr, thing)) if isinstance(thing, (set, frozenset)) else thing
+            text, attributes = repr(value), _attributes(thing)
+            if not _is_library(type(thing).__module__) or (ADDRESS.search(text) and attributes):
+                self.texts[path], parts = self._add_class(type(thing), ancestors), attributes
             else:
                 self.texts[path] = _shorten(ADDRESS.sub("", text))
         for name, part in parts.items():
@@ -190,14 +190,14 @@ def _items(thing: Any) -> dict[str, Any] | None:
 
 def _attributes(thing: Any) -> dict[str, Any]:
     """What a thing holds, in slots too, each by what follows its own path."""
-    held = dict(getattr(thing, "__dict__", {}))
+    attributes = dict(getattr(thing, "__dict__", {}))
     for owner in type(thing).__mro__:
-        slots = (n for n, own in vars(owner).items() if isinstance(own, MemberDescriptorType))
+        slots = (n for n, member in vars(owner).items() if isinstance(member, MemberDescriptorType))
         # A slot that has no value counts as None.
-        held |= {name: getattr(thing, name, None) for name in slots}
+        attributes |= {name: getattr(thing, name, None) for name in slots}
     # What wraps a function has its module's name, a partial function an address.
     special = ("__module__", "__vectorcalloffset__")
-    return {f".{name}": value for name, value in held.items() if name not in special}
+    return {f".{name}": value for name, value in attributes.items() if name not in special}
 
 
 def _is_field(kind: type, name: str) -> bool:
@@ -212,22 +212,22 @@ def _unwrap(thing: Any) -> Any:
     None."""
     if not callable(thing) or isinstance(thing, type):
         return None
-    source = lambda own: getattr(own, "__globals__", {}).get("__name__", type(own).__module__)
-    thing = inspect.unwrap(thing, stop=lambda own: not _is_library(source(own)))
+    source = lambda thing: getattr(thing, "__globals__", {}).get("__name__", type(thing).__module__)
+    thing = inspect.unwrap(thing, stop=lambda thing: not _is_library(source(thing)))
     return thing if getattr(thing, "__code__", None) is not None else None
 
 
 def _references(function: Any) -> dict[str, Any]:
     """What a function is bound to, holds and has by default, by what follows its path."""
-    found = {" of": function.__self__} if inspect.ismethod(function) else {}
+    references = {" of": function.__self__} if inspect.ismethod(function) else {}
     for i, cell in enumerate(function.__closure__ or ()):
         try:
-            found[f" holds [{i}]"] = cell.cell_contents
+            references[f" holds [{i}]"] = cell.cell_contents
         except ValueError:
             # Empty until the name that it stands for has a value.
-            found[f" holds [{i}]"] = None
-    found |= {f" by default [{i}]": own for i, own in enumerate(function.__defaults__ or ())}
-    return found | {f" by default {n}": own for n, own in (function.__kwdefaults__ or {}).items()}
+            references[f" holds [{i}]"] = None
+    references |= {f" by default [{i}]": x for i, x in enumerate(function.__defaults__ or ())}
+    return references | {f" by default {n}": x for n, x in (function.__kwdefaults__ or {}).items()}
 
 
 def _code_text(code: CodeType) -> str:
