@@ -17,7 +17,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxclear.ground import array_functions as xp
 from jaxclear.ground.arguments import check_name, check_number
+from jaxclear.ground.array_functions import on_host
 from jaxclear.ground.quantity import is_traced
 from jaxclear.ground.wording import described
 from jaxclear.studies.distribution import AbstractDistribution, AbstractJointDistribution
@@ -81,11 +83,11 @@ class Inputs(eqx.Module):
         for i, distribution in enumerate(self.distributions):
             if i not in parts:
                 parts[i] = getattr(distribution, alone)(numbers[..., i])
-        return jnp.stack([parts[i] for i in range(len(parts))], axis=-1)
+        return xp.stack([parts[i] for i in range(len(parts))], axis=-1)
 
     def deviations(self) -> Float[Array, " variables"]:
         """Standard deviation of each variable [its unit]."""
-        return self.widths * jnp.stack([jnp.asarray(d.deviation()) for d in self.distributions])
+        return self.widths * xp.stack([d.deviation() for d in self.distributions])
 
 
 def joint(
@@ -103,18 +105,11 @@ def joint(
     root = inverse = None
     if correlation is not None:
         library = jnp if is_traced(correlation) else np
-        lower = library.linalg.cholesky(correlation)
-        root, inverse = jnp.asarray(lower), jnp.asarray(library.linalg.inv(lower))
-    return Inputs(
-        tuple(names),
-        tuple(alone),
-        jnp.asarray(nominal),
-        jnp.ones(len(names)),
-        correlation,
-        root,
-        inverse,
-        tuple(joints),
-    )
+        root = library.linalg.cholesky(correlation)
+        inverse = library.linalg.inv(root)
+    widths, matrices = np.ones(len(names)), (correlation, root, inverse)
+    laws, *numbers = on_host((tuple(alone), jnp.asarray(nominal), widths, *matrices))
+    return Inputs(tuple(names), laws, *numbers, on_host(tuple(joints)))
 
 
 def correlation_matrix(

@@ -12,7 +12,8 @@ import jax.numpy as jnp
 import pytest
 
 import jaxclear as jc
-from jaxclear.studies.store.digest import describe, difference, first_difference, in_texts
+from jaxclear.ground.description import describe
+from jaxclear.studies.store.digest import difference, first_difference, in_texts
 
 MODULE = """
 import functools
@@ -281,7 +282,7 @@ PROGRAM = """
 import sys
 sys.path.insert(0, sys.argv[1])
 import a_users_own, hashlib
-from jaxclear.studies.store.digest import describe
+from jaxclear.ground.description import describe
 found = describe([("", [getattr(a_users_own, name) for name in sys.argv[2:]])])
 print(hashlib.sha256(repr(sorted(found.items())).encode()).hexdigest())
 """

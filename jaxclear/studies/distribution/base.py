@@ -5,6 +5,7 @@ that of a standard normal variable, and keeps its accuracy in both tails.
 """
 
 from abc import abstractmethod
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -14,6 +15,7 @@ from jaxtyping import Array, Float
 
 from jaxclear.ground.numerics import safe_divide
 from jaxclear.ground.quantity import AbstractQuantified, Scalar
+from jaxclear.native.compiled import compiled_quickly
 
 # What a distribution describes tells its unit.
 UNIT = "(in the varied number's unit)"
@@ -25,6 +27,12 @@ HALVINGS = 52
 END_SCORE = 6.0
 # A density [1/standard deviation] below this at its end moves no mean that a sample could see.
 LEAST_END_DENSITY = 1e-4
+
+
+@compiled_quickly
+def score_slopes(distribution: Any, scores: Float[Array, " scores"]) -> Float[Array, " scores"]:
+    """How fast the deviations of a distribution move with these scores [its unit]."""
+    return jax.jvp(distribution.of_score, (scores,), (jnp.ones_like(scores),))[1]
 
 
 class AbstractDistribution(AbstractQuantified):
@@ -95,8 +103,7 @@ class AbstractDistribution(AbstractQuantified):
 
     def end_densities(self) -> tuple[float, float]:
         """Density at the lower and the upper end [1/unit]; 0 without an end."""
-        ends = jnp.array([-END_SCORE, END_SCORE])
-        _, slopes = jax.jvp(self.of_score, (ends,), (jnp.ones(2),))
+        slopes = score_slopes(self, np.array([-END_SCORE, END_SCORE]))
         with np.errstate(divide="ignore"):
             density = np.exp(-0.5 * END_SCORE**2) / np.sqrt(2 * np.pi) / np.asarray(slopes)
         density = np.where(density * float(self.deviation()) > LEAST_END_DENSITY, density, 0.0)
