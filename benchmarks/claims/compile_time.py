@@ -1,7 +1,7 @@
 """What a user waits for before the first result: the first run of every scene in a new process, on
 the integrator that `simulate` takes by default, or on MoreauJean where the scene's friction is
-set-valued; of the four-bar on every rung; and on MoreauJean with wear. With nothing kept by an
-earlier process, and with what one has kept.
+set-valued; of the four-bar on every rung; on MoreauJean with wear; and of studies. With nothing
+kept by an earlier process, and with what one has kept.
 
 CPU seconds, with Python's compiled modules kept as an installation has them, and the import beside
 that of JAX. A first run is all from the scene's function to the first trajectory, so what the run
@@ -32,6 +32,25 @@ for _ in range(2):
     spent.append(time.process_time())
 print(*(b - a for a, b in zip(spent, spent[1:])))
 """
+STUDIES = """
+import time
+import jaxclear as jc
+problem = jc.Problem(
+    jc.scenes.slider_crank(),
+    jc.response.MeanContactForce("B"),
+    {"clearance": jc.Variable(lambda rig: rig.connections["B"].joint.clearance, tolerance=20e-6)},
+    duration=0.05,
+)
+spent = [time.process_time()]
+for _ in range(2):
+    sample = jc.monte_carlo(problem, 1024)
+    spent.append(time.process_time())
+    jc.sensitivity(problem, "clearance", sample=sample)
+    spent.append(time.process_time())
+print(*(b - a for a, b in zip(spent, spent[1:])))
+"""
+# CPU seconds that are asked for of each study, in a first and a second process.
+OF_STUDIES = {"monte_carlo of 1 024": (2.0, 0.5), "sensitivity": (3.0, 0.8)}
 SET_VALUED = ("antenna()", "guide()")
 # Scenes, with a duration [s] of which a run takes a second or less.
 SCENES = {
@@ -106,6 +125,22 @@ def row_of(scene: str, span: float, integrator: str, limit: float) -> dict[str, 
     }
 
 
+def study_rows() -> list[dict[str, Any]]:
+    """The first studies of a problem: a sample, and derivatives of its mean."""
+    with tempfile.TemporaryDirectory() as folder:
+        first, second = (told(STUDIES, folder) for _ in range(2))
+    return [
+        {
+            "study": name,
+            "first time [s]": first[place],
+            "the same again [s]": first[2 + place],
+            "in a second process [s]": second[place],
+            "asked for [s]": f"{limits[0]}, {limits[1]}",
+        }
+        for place, (name, limits) in enumerate(OF_STUDIES.items())
+    ]
+
+
 def main() -> None:
     options = arguments(__doc__)
     report("Import in a new process, CPU time", [imports()], options)
@@ -122,6 +157,7 @@ def main() -> None:
         for scene in WEARING[::every]
     ]
     report("First run on MoreauJean with wear in a new process, CPU time", rows, options)
+    report("First studies in a new process, CPU time", study_rows(), options)
     if options.json is not None:
         told = {"about": about("benchmarks.claims.compile_time", options.json)}
         known = json.loads(options.json.read_text())

@@ -36,7 +36,7 @@ WITHOUT_NUMBERS = (
     "reduce_ex getstate setstate replace annotate annotate_func getnewargs"
 )
 # Types whose objects show all that they are.
-SHOWN = (type(None), bool, int, float, complex, str, bytes, set, frozenset)
+SHOWN: tuple[type, ...] = (type(None), bool, int, float, complex, str, bytes, set, frozenset)
 SHOWN += (enum.Enum, np.generic, np.dtype)
 WORD = re.compile(rb"[A-Za-z_]\w*")
 # Where in memory a thing lies is no part of what it is.
