@@ -65,7 +65,7 @@ class Description:
         self.opaque: set[str] = set()
         # Globals and classes by the path at which they are described, which several functions may
         # use and which may use one another.
-        self.once: dict[str, Any] = {}
+        self.described: dict[str, Any] = {}
 
     def add(self, thing: Any, path: str, ancestors: tuple[int, ...] = ()) -> None:
         """Adds the texts of a thing and of its parts. `ancestors`: whose part it is, by
@@ -89,7 +89,7 @@ class Description:
             parts = _references(function)
             if function is not thing:
                 # What makes it another function, as derivatives of one's own.
-                parts |= {n: own for n, own in _attributes(thing).items() if callable(own)}
+                parts |= {n: x for n, x in _attributes(thing).items() if callable(x)}
             if not _is_library(scope := function.__globals__.get("__name__", "")):
                 self.names |= _names(function.__code__)
                 for name in sorted(_global_names(function.__code__) & set(function.__globals__)):
@@ -102,10 +102,10 @@ class Description:
         else:
             # Of a user's class by its attributes and what the class does, of a library's by how it
             # shows itself, or by its attributes where that says nothing.
-            shown = sorted(map(repr, thing)) if isinstance(thing, (set, frozenset)) else thing
-            text, held = repr(shown), _attributes(thing)
-            if not _is_library(type(thing).__module__) or (ADDRESS.search(text) and held):
-                self.texts[path], parts = self._add_class(type(thing), ancestors), held
+            value = sorted(map(repr, thing)) if isinstance(thing, (set, frozenset)) else thing
+            text, attributes = repr(value), _attributes(thing)
+            if not _is_library(type(thing).__module__) or (ADDRESS.search(text) and attributes):
+                self.texts[path], parts = self._add_class(type(thing), ancestors), attributes
             else:
                 self.texts[path] = _shorten(ADDRESS.sub("", text))
                 if not (callable(thing) or type(thing) is object or isinstance(thing, SHOWN)):
@@ -116,19 +116,19 @@ class Description:
     def _module_text(self, module: ModuleType) -> str:
         """A library by its name; a user's own module with a digest of its file, and of those of
         the user's modules that it uses."""
-        texts, left = dict[str, str](), [module]
-        while left:
-            own = left.pop()
-            if own.__name__ in texts or _is_library(own.__name__):
+        texts, unread = dict[str, str](), [module]
+        while unread:
+            current = unread.pop()
+            if current.__name__ in texts or _is_library(current.__name__):
                 continue
-            file = getattr(own, "__file__", None)
+            file = getattr(current, "__file__", None)
             content = Path(file).read_bytes() if file is not None and Path(file).is_file() else b""
-            texts[own.__name__] = _digest(content) if content else ""
+            texts[current.__name__] = _digest(content) if content else ""
             self.names |= {word.decode() for word in WORD.findall(content)}
-            for used in list(vars(own).values()):
-                name = getattr(used, "__module__", None)
-                used = sys.modules.get(name) if isinstance(name, str) else used
-                left += [used] if isinstance(used, ModuleType) else []
+            for member in list(vars(current).values()):
+                name = getattr(member, "__module__", None)
+                used = sys.modules.get(name) if isinstance(name, str) else member
+                unread += [used] if isinstance(used, ModuleType) else []
         whole = texts.pop(module.__name__, "")
         if texts:
             whole = _digest(f"{whole}{sorted(texts.items())}".encode())
@@ -137,11 +137,11 @@ class Description:
     def _new_path(self, path: str, thing: Any) -> str:
         """The path of a thing that is described here for the first time; "" of another. Two modules
         of one name may have different things of one name."""
-        while path in self.once:
-            if self.once[path] is thing:
+        while path in self.described:
+            if self.described[path] is thing:
                 return ""
             path += "'"
-        self.once[path], self.texts[path] = thing, DESCRIBED
+        self.described[path], self.texts[path] = thing, DESCRIBED
         return path
 
     def _add_global(self, path: str, thing: Any) -> None:
@@ -189,14 +189,14 @@ def _items(thing: Any) -> dict[str, Any] | None:
 
 def _attributes(thing: Any) -> dict[str, Any]:
     """What a thing holds, in slots too, each by what follows its own path."""
-    held = dict(getattr(thing, "__dict__", {}))
+    attributes = dict(getattr(thing, "__dict__", {}))
     for owner in type(thing).__mro__:
-        slots = (n for n, own in vars(owner).items() if isinstance(own, MemberDescriptorType))
+        slots = (n for n, member in vars(owner).items() if isinstance(member, MemberDescriptorType))
         # A slot that has no value counts as None.
-        held |= {name: getattr(thing, name, None) for name in slots}
+        attributes |= {name: getattr(thing, name, None) for name in slots}
     # What wraps a function has its module's name, a partial function an address.
     special = ("__module__", "__vectorcalloffset__")
-    return {f".{name}": value for name, value in held.items() if name not in special}
+    return {f".{name}": value for name, value in attributes.items() if name not in special}
 
 
 def _is_field(kind: type, name: str) -> bool:
@@ -233,15 +233,15 @@ def _is_library_function(thing: Any) -> bool:
 
 def _references(function: Any) -> dict[str, Any]:
     """What a function is bound to, holds and has by default, by what follows its path."""
-    found = {" of": function.__self__} if inspect.ismethod(function) else {}
+    references = {" of": function.__self__} if inspect.ismethod(function) else {}
     for i, cell in enumerate(function.__closure__ or ()):
         try:
-            found[f" holds [{i}]"] = cell.cell_contents
+            references[f" holds [{i}]"] = cell.cell_contents
         except ValueError:
             # Empty until the name that it stands for has a value.
-            found[f" holds [{i}]"] = None
-    found |= {f" by default [{i}]": own for i, own in enumerate(function.__defaults__ or ())}
-    return found | {f" by default {n}": own for n, own in (function.__kwdefaults__ or {}).items()}
+            references[f" holds [{i}]"] = None
+    references |= {f" by default [{i}]": x for i, x in enumerate(function.__defaults__ or ())}
+    return references | {f" by default {n}": x for n, x in (function.__kwdefaults__ or {}).items()}
 
 
 def _code_text(code: CodeType) -> str:

@@ -110,7 +110,7 @@ def _panels(result: Identified) -> list[Callable[[Any], None]]:
     pairs = itertools.islice(itertools.combinations(unknowns, 2), MOST_PAIRS)
     drawn += [partial(_pair, result=result, i=i, k=k) for i, k in pairs]
     if evidence is not None:
-        part = evidence.held().mean(0)
+        part = evidence.coverage().mean(0)
         drawn += [
             partial(_leave_one_out, result=result, evidence=evidence, k=k, part=float(part[k]))
             for k in unknowns
@@ -176,7 +176,7 @@ def _leave_one_out(axis: Any, result: Identified, evidence: Evidence, k: int, pa
     fitted, name = evidence.fitted, u.name
     factor, unit = readable([u.prior_low, u.prior_high], u.unit)
     as_value = lambda shares: factor * prior_quantiles(result.problem, name, shares)
-    estimates = as_value(np.clip(fitted.surfaces[k].left_out, 0.0, 1.0))
+    estimates = as_value(np.clip(fitted.surfaces[k].predictions, 0.0, 1.0))
     axis.plot(estimates, as_value(fitted.unknowns[:, k]), "o", ms=3, mew=0, alpha=0.5)
     ends = factor * np.array([u.prior_low, u.prior_high])
     axis.plot(ends, ends, color="0.5", lw=0.8)

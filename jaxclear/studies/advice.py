@@ -93,7 +93,7 @@ class Copies:
         duration = float(problem.duration)
         self._runs = [repeated(problem.with_values(row), duration, how) for row in values]
         self._drawn = compiled_quickly(self._answers, AROUND_A_KERNEL)
-        self._known: dict[tuple, Runs] = {}
+        self._cache: dict[tuple, Runs] = {}
 
     def _answers(self, run: Any) -> dict[str, Any]:
         return {name: answer(name, f, run) for name, f in self.problem.response.items()}
@@ -102,9 +102,9 @@ class Copies:
         """All copies over a share of the duration. What an integrator cannot do is a sentence."""
         leaves, kind = jax.tree.flatten(integrator)
         key = kind, share, *(np.asarray(leaf).tobytes() for leaf in leaves)
-        if key not in self._known:
-            self._known[key] = self._run(integrator, share)
-        return self._known[key]
+        if key not in self._cache:
+            self._cache[key] = self._run(integrator, share)
+        return self._cache[key]
 
     def _run(self, integrator: AbstractIntegrator, share: float) -> Runs:
         rows, steps = [], np.zeros(2)
@@ -137,7 +137,7 @@ class Copies:
         return time.process_time() - start
 
 
-class Asked(NamedTuple):
+class Accuracy(NamedTuple):
     """The accuracy [1] asked of responses, beside their root mean square over the copies."""
 
     accuracy: float
@@ -146,7 +146,7 @@ class Asked(NamedTuple):
         """The largest error told that passes [1]."""
         return self.accuracy * (1.0 if copies == 1 else copies / (copies + SPARED))
 
-    def beside(self, one: dict, other: dict) -> dict[str, float]:
+    def error_ratios(self, one: dict, other: dict) -> dict[str, float]:
         """By response how far two settings are apart, beside what is allowed."""
         ratios = {}
         for name, values in one.items():
@@ -192,7 +192,7 @@ class Advice(AbstractAnswer):
     """
 
     copies: Copies = eqx.field(static=True)
-    wanted: Asked
+    request: Accuracy
     rungs: "_Rungs"
     trials: tuple[Trial, ...]
     chosen: Trial
@@ -206,7 +206,7 @@ class Advice(AbstractAnswer):
     @property
     def accuracy(self) -> float:
         """The accuracy that was asked for [1]."""
-        return self.wanted.accuracy
+        return self.request.accuracy
 
     @property
     def met(self) -> bool:
@@ -225,11 +225,11 @@ class Advice(AbstractAnswer):
 
     def at(self, accuracy: float) -> "Advice":
         """The same at another accuracy."""
-        return _advised(self.copies, self.wanted._replace(accuracy=_checked(accuracy)), self.rungs)
+        return _advised(self.copies, self.request._replace(accuracy=_checked(accuracy)), self.rungs)
 
     def sentence(self) -> str:
         """The answer in plain words."""
-        parts = [self._recommended(), *self._models(), self._own()]
+        parts = [self._recommended(), *self._models(), self._present_text()]
         if not self.met:
             parts.append(PARTING)
         many = len(self.copies.values)
@@ -261,7 +261,7 @@ class Advice(AbstractAnswer):
     def _times(self, trial: Trial) -> str:
         return f"{trial.work / max(self.chosen.work, 1):.2g} times the work"
 
-    def _own(self) -> str:
+    def _present_text(self) -> str:
         (present,) = (trial for trial in self.trials if trial.method == PRESENT)
         text = f"The problem's own {as_typed(present.integrator)}"
         if present.remark:
@@ -366,15 +366,15 @@ def advise(
     pilot = PilotSettings() if pilot is None else pilot
     expect(pilot, PilotSettings, "the pilot", "a jaxclear.PilotSettings")
     check_flags("advise", progress_bar=progress_bar)
-    request, copies = Asked(_checked(accuracy)), Copies(problem, _values(problem, pilot))
+    request, copies = Accuracy(_checked(accuracy)), Copies(problem, _values(problem, pilot))
     return _advised(copies, request, _rungs(problem, copies.times), progress_bar)
 
 
 def _searched(
-    copies: Copies, request: Asked, rungs: _Rungs, bar: Any
+    copies: Copies, request: Accuracy, rungs: _Rungs, bar: Any
 ) -> tuple[Search, dict[str, list[Tried]]]:
     """The search among rungs of the stated model, and by method what was judged, of others too."""
-    difference = lambda _, one, other: request.beside(one, other)
+    difference = lambda _, one, other: request.error_ratios(one, other)
     question = Question(lambda runs: runs.answers, difference, copies.times)
     tried: dict[str, list[Tried]] = {}
     for budget in (budget_of(copies.times), MORE * budget_of(copies.times)):
@@ -398,7 +398,9 @@ def _searched(
     return search, tried
 
 
-def _advised(copies: Copies, request: Asked, rungs: _Rungs, progress_bar: bool = False) -> Advice:
+def _advised(
+    copies: Copies, request: Accuracy, rungs: _Rungs, progress_bar: bool = False
+) -> Advice:
     steps = len(rungs.stated) + len(rungs.other)
     with tqdm(total=steps, desc="advice", disable=not progress_bar) as bar:
         search, tried = _searched(copies, request, rungs, bar)
@@ -413,7 +415,7 @@ def _advised(copies: Copies, request: Asked, rungs: _Rungs, progress_bar: bool =
             )
     reference, limit = (search.reference or best).observed, request.limit(len(copies.values))
     shares = lambda errors: {name: limit * error for name, error in errors.items()}
-    off = lambda answers: shares(request.beside(answers, reference))
+    off = lambda answers: shares(request.error_ratios(answers, reference))
     are_within_limit = lambda errors: all(error <= limit for error in errors.values())
 
     def trial(name: str, one: Tried) -> Trial:

@@ -40,7 +40,7 @@ class Column(NamedTuple):
     label: str = ""
 
     @property
-    def asked(self) -> "Column":
+    def computed(self) -> "Column":
         """With its values known."""
         return self._replace(values=self.values()) if callable(self.values) else self
 
@@ -155,7 +155,7 @@ def table_of(stated: Stated) -> Any:
     """The table of what is stated."""
     dims = next(iter(stated.columns.values())).dims
     used_columns = {
-        name: column.asked
+        name: column.computed
         for name, column in stated.columns.items()
         if (column.dims == dims and column.only != DATASET) or name in dims
     }
@@ -181,7 +181,7 @@ def table_of(stated: Stated) -> Any:
 
 def dataset_of(stated: Stated, **attributes: Any) -> Any:
     """The Dataset of what is stated; `attributes`: more attributes."""
-    every = {n: c.asked for n, c in stated.columns.items() if c.only != TABLE}
+    every = {n: c.computed for n, c in stated.columns.items() if c.only != TABLE}
     labels = {n: c for n, c in every.items() if c.dims == (n,)}
     for column in every.values():
         for i, dim in enumerate(column.dims if isinstance(column.values, Mapping) else ()):

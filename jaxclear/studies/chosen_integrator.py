@@ -23,11 +23,11 @@ from jaxclear.studies.usual_integrator import usual_integrator
 # hundred such runs take longer than the choice compiles.
 DEAR, UNASKED = 200_000, 0.02
 # A share of every response, or numbers in units by name.
-Wanted = float | tuple[tuple[str, float], ...]
+Goal = float | tuple[tuple[str, float], ...]
 
 
 def chosen_integrator(
-    mechanism: Mechanism, response: Mapping[str, Callable], duration: Any, target: Wanted, how: How
+    mechanism: Mechanism, response: Mapping[str, Callable], duration: Any, target: Goal, how: How
 ) -> Chosen:
     """The integrator by which every response of a mechanism is as accurate as is `target`, a share
     of its size in the nominal sample or numbers in units by name, at the least work. Raises
@@ -51,7 +51,7 @@ def chosen_integrator(
 
 def unasked(
     mechanism: Mechanism, response: Mapping[str, Callable], duration: Any, how: How
-) -> tuple[AbstractIntegrator, str, Wanted | None]:
+) -> tuple[AbstractIntegrator, str, Goal | None]:
     """The integrator of a study that asks for none, why, and the accuracy for which it was chosen
     (None: it was not)."""
     usual, why = usual_integrator(mechanism, duration)
@@ -62,7 +62,7 @@ def unasked(
     return (choice.integrator, choice.why, UNASKED) if choice.reached else (usual, why, None)
 
 
-def allowed(accuracy: Wanted, response: str) -> tuple[float, float] | None:
+def allowed(accuracy: Goal, response: str) -> tuple[float, float] | None:
     """The largest error that is asked of a response, in its unit and as a share of its size (the
     larger of the two counts); None: any."""
     if isinstance(accuracy, float):
@@ -71,7 +71,7 @@ def allowed(accuracy: Wanted, response: str) -> tuple[float, float] | None:
     return None if value is None else (value, 0.0)
 
 
-def checked_asked(accuracy: Any, response: Mapping[str, Callable]) -> Wanted:
+def required_accuracy(accuracy: Any, response: Mapping[str, Callable]) -> Goal:
     """What a problem is asked of its responses. Raises `ValueError` with a sentence."""
     checked = checked_accuracy(accuracy, "a Problem")
     if isinstance(checked, float):

@@ -86,7 +86,7 @@ def undrawn_levels(problem: Problem, values: np.ndarray) -> dict[str, str]:
     return undrawn
 
 
-def check_told(problem: Problem, name: str, *limits: Any) -> None:
+def check_within_horizon(problem: Problem, name: str, *limits: Any) -> None:
     """Raises `ValueError` for limits beyond what a response is told up to."""
     info = problem.description.responses[name]
     for limit in limits:
@@ -98,7 +98,7 @@ def check_told(problem: Problem, name: str, *limits: Any) -> None:
             )
 
 
-def finite_beside(values: np.ndarray, *limits: Any) -> np.ndarray:
+def replace_infinite(values: np.ndarray, *limits: Any) -> np.ndarray:
     """Values with a finite number, beyond all others and these limits, in place of those that are
     infinite: what only asks on which side of a limit they lie sees no difference."""
     if not np.isinf(values).any():
@@ -114,7 +114,7 @@ def bounded(problem: Problem, name: str, values: np.ndarray, levels: Sequence[An
     """Values for a surface: where they are infinite, what a response is told up to, or, where that
     has no end, beyond all others and the `levels` that limits hold them against."""
     most = problem.description.responses[name].horizon
-    return np.minimum(values, most) if np.isfinite(most) else finite_beside(values, *levels)
+    return np.minimum(values, most) if np.isfinite(most) else replace_infinite(values, *levels)
 
 
 def _words(problem: Problem, name: str, values: Any) -> str:

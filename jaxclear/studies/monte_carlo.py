@@ -22,12 +22,17 @@ from jaxclear.studies.answer import (
     Column,
     Stated,
 )
-from jaxclear.studies.endless import check_told, endless_sentences, refuse_endless, successes
+from jaxclear.studies.endless import (
+    check_within_horizon,
+    endless_sentences,
+    refuse_endless,
+    successes,
+)
 from jaxclear.studies.problem import Problem
 from jaxclear.studies.replicas import Replicas, numerical_error, replicas_of, unverified
 from jaxclear.studies.sampling import Drawing, check_sampled, checked_scramblings, groups
 from jaxclear.studies.sequential import FIRST_SAMPLES, Grown, first_of, until_accurate
-from jaxclear.studies.statistics.accuracy import NumericalError, asked_of
+from jaxclear.studies.statistics.accuracy import NumericalError, parse_accuracy
 from jaxclear.studies.statistics.limits import (
     SIDES,
     Limits,
@@ -237,7 +242,7 @@ class MonteCarlo(AbstractAnswer):
         at its lower end, inside at its upper."""
         check_limits(limits, self.responses)
         for name, pair in limits.items():
-            check_told(self.problem, name, *pair)
+            check_within_horizon(self.problem, name, *pair)
         return yield_of(self.responses, limits, self.failed, self.scrambling)
 
     def process_capability(self, response: str, limits: Limits) -> Statistic:
@@ -342,7 +347,7 @@ def monte_carlo(
     check_flags("monte_carlo", verify=verify, progress_bar=progress_bar)
     if chunk is not None:
         check_count("chunk of monte_carlo", chunk)
-    request = asked_of(accuracy, problem.response_names)
+    request = parse_accuracy(accuracy, problem.response_names)
     first = samples if request is None else min(samples, FIRST_SAMPLES)
     parts = checked_scramblings("monte_carlo", first, scramblings)
     chunk = chunk_size(problem, first, chunk)
@@ -357,10 +362,10 @@ def monte_carlo(
 
         def grown(count):
             sample.to(count)
-            return [(sample.found.reached_responses(), groups(count, parts))]
+            return [(sample.result.reached_responses(), groups(count, parts))]
 
         short = until_accurate(problem, first_of(first, parts), samples, request, grown)
-    result, values, reached = sample.found, sample.values, sample.found.reached_responses()
+    result, values, reached = sample.result, sample.values, sample.result.reached_responses()
     ends = (np.asarray(result.outcome), np.asarray(result.ended))
     arguments = (
         {name: reached[name] for name in problem.response_names},

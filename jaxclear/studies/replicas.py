@@ -30,10 +30,10 @@ MOST_REPLICAS = 16
 
 class Replicas(eqx.Module):
     """The first samples of a study once more, with steps of a `share` [1]: `responses` (replicas,)
-    by name beside the samples' `own`, nan where a run failed; how each replica ended, and when
-    [s]."""
+    by name, and those of the samples (`coarse`), nan where a run failed; how each replica ended,
+    and when [s]."""
 
-    own: dict[str, np.ndarray]
+    coarse: dict[str, np.ndarray]
     responses: dict[str, np.ndarray]
     outcome: np.ndarray
     ended: np.ndarray
@@ -47,13 +47,13 @@ class Replicas(eqx.Module):
     @property
     def failed(self) -> np.ndarray:
         """Indices of the samples whose replica failed, and they did not."""
-        fine = np.all([np.isfinite(values) for values in self.own.values()], axis=0)
+        fine = np.all([np.isfinite(values) for values in self.coarse.values()], axis=0)
         return np.flatnonzero(fine & (self.outcome != Outcome.REACHED))
 
     def differences(self, response: str) -> np.ndarray:
         """By how much each sample's response is too large, (replicas,), in its unit; nan where a
         run failed."""
-        return (self.own[response] - self.responses[response]) / (1 - self.share)
+        return (self.coarse[response] - self.responses[response]) / (1 - self.share)
 
     def errors(self, response: str) -> np.ndarray:
         """The told numerical error of each sample's response, (replicas,)."""
@@ -61,8 +61,8 @@ class Replicas(eqx.Module):
 
     def pairs(self, response: str) -> tuple[np.ndarray, np.ndarray]:
         """A response of samples and replicas of which neither failed."""
-        good = np.isfinite(self.own[response]) & np.isfinite(self.responses[response])
-        return self.own[response][good], self.responses[response][good]
+        good = np.isfinite(self.coarse[response]) & np.isfinite(self.responses[response])
+        return self.coarse[response][good], self.responses[response][good]
 
     def bias(
         self, response: str, statistic: Callable[[np.ndarray], float] = np.mean

@@ -66,7 +66,12 @@ from jaxclear.simulation.simulate import (
     saving_times,
 )
 from jaxclear.simulation.singular_positions import diagnosed, diagnosed_outcome
-from jaxclear.studies.chosen_integrator import allowed, checked_asked, chosen_integrator, unasked
+from jaxclear.studies.chosen_integrator import (
+    allowed,
+    chosen_integrator,
+    required_accuracy,
+    unasked,
+)
 from jaxclear.studies.experiment import (
     LEAST_CHUNK,
     PARTS,
@@ -141,7 +146,7 @@ class RunExperiment(AbstractExperiment):
         chosen: Any = (integrator, "", None)
         if accuracy is not None:
             check_one_of_two("a Problem", integrator)
-            share = checked_asked(accuracy, self.response)
+            share = required_accuracy(accuracy, self.response)
             choice = chosen_integrator(*arguments, share, How(saving, state))
             chosen = choice.integrator, choice.why, share
         elif integrator is None:
@@ -285,7 +290,7 @@ class RunExperiment(AbstractExperiment):
         }
         return Description(
             f"Problem {how}",
-            {name: self._known_of(name) for name in self.response_names},
+            {name: self._response_info(name) for name in self.response_names},
             early,
             True,
             checked_by(self._load_steps().passed, Checks()).warnings,
@@ -293,7 +298,7 @@ class RunExperiment(AbstractExperiment):
             self._limits_of_derivatives(),
         )
 
-    def _known_of(self, name: str) -> ResponseInfo:
+    def _response_info(self, name: str) -> ResponseInfo:
         response = self.response[name]
         unit = unit_of(response, self.mechanism)
         concerns = frozenset(part for part in PARTS if concerned(response, part))
@@ -350,7 +355,7 @@ def _answers(experiment: RunExperiment, setting: Setting, discrete: bool) -> Sam
     has_pathwise = discrete and integrator.pathwise
     modelled = integrator.formulation.seen(experiment.mechanism)
     if not has_pathwise and is_compared(modelled, integrator):
-        evaluate = compared(_answered, _finer, _alike, _steps, order_of(modelled, integrator))
+        evaluate = compared(_answered, _finer, _guard, _steps, order_of(modelled, integrator))
         return backwards(integrator)(evaluate, experiment, setting)
     started = lambda experiment, setting: experiment.started(setting, has_pathwise)
     mechanism, start, run = backwards(integrator)(started, experiment, setting)
@@ -385,7 +390,7 @@ def _steps(experiment: RunExperiment, _: Any) -> tuple[Any, Any]:
     return experiment.integrator.asked_step(), experiment.shares * experiment.duration
 
 
-def _alike(result: SampleResult, tangents: SampleResult, ratios: Array, least: Any) -> SampleResult:
+def _guard(result: SampleResult, tangents: SampleResult, ratios: Array, least: Any) -> SampleResult:
     """Derivatives of what is answered; those of responses are nan where steps decide them."""
     responses = {
         name: refuse_steps(tangent, ratios, abs(tangent[0]), least * abs(result.responses[name]))
@@ -406,10 +411,10 @@ def _promise_of(
     share = None if part is None else promise._asdict()[part]
     if share is None:
         return None
-    return share * (_way(mechanism, unit) if part == "places" else 0.0), share
+    return share * (_length_scale(mechanism, unit) if part == "places" else 0.0), share
 
 
-def _way(mechanism: Mechanism, unit: str) -> float:
+def _length_scale(mechanism: Mechanism, unit: str) -> float:
     """Of what goes by a unit the least way that places are measured beside."""
     if unit != "m":
         return 1.0 if unit == "rad" else 0.0

@@ -29,7 +29,7 @@ from jaxclear.studies.scrambling import normal_scores
 from jaxclear.studies.statistics.scrambled import Statistic, deviation, jackknifed
 from jaxclear.studies.store.batch import evaluate_all
 from jaxclear.studies.store.store import stored
-from jaxclear.studies.warned import told
+from jaxclear.studies.warned import sentences_among
 
 # Shares of the population [1] that a move goes through: their mean is that of Morris' steps.
 SHORTEST, LONGEST = 1 / 3, 2 / 3
@@ -129,7 +129,9 @@ def screening(
             mu_star[name, variable] = jackknifed(np.mean, np.abs(defined), group)
             sigma[name, variable] = jackknifed(deviation, defined, group, skewed=True, grouped=True)
     counts = len(values), int((~good).sum())
-    return Screening(problem, mu_star, sigma, effects, *counts, told(problem, result.checks, good))
+    return Screening(
+        problem, mu_star, sigma, effects, *counts, sentences_among(problem, result.checks, good)
+    )
 
 
 def _trajectories(groups: list[range], count: int, seed: int) -> np.ndarray:

@@ -114,7 +114,7 @@ class AbstractSensor(AbstractSignal):
         runs, samples = readings.shape
         draw = lambda value: _drawn(value, runs, rng)
         cut = None if self.bandwidth is None else draw(self.bandwidth)
-        readings = _passed_each(readings, rate, cut, draw(self.delay), draw(self.gain))
+        readings = _filter_each(readings, rate, cut, draw(self.delay), draw(self.gain))
         if self.sampling is not None:
             every = rate / draw(self.sampling)[:, None]
             at = np.arange(samples)
@@ -133,7 +133,7 @@ def _drawn(value: Any, runs: int, rng: np.random.Generator) -> np.ndarray:
     return np.asarray(value.nominal_in(None) + marginal.quantile(shares))
 
 
-def passed(signal: Array, rate: Scalar, bandwidth: Any, delay: Any, gain: Any) -> Array:
+def filter_signal(signal: Array, rate: Scalar, bandwidth: Any, delay: Any, gain: Any) -> Array:
     """What an instrument whose numbers are known makes of a signal (n,) at `rate` [Hz], without
     noise. Its first-order low-pass (None: none) is exact for signals that are constant between
     samples, and begins settled."""
@@ -158,7 +158,7 @@ def _read(signal: Array, at: Array) -> Array:
     return (1 - share) * signal[first] + share * signal[second]
 
 
-_passed_each = jax.jit(jax.vmap(passed, (0, None, 0, 0, 0)))
+_filter_each = jax.jit(jax.vmap(filter_signal, (0, None, 0, 0, 0)))
 _read_each = jax.jit(jax.vmap(_read))
 
 

@@ -19,7 +19,7 @@ from jaxclear.studies.endless import successes, why_unanswered
 from jaxclear.studies.problem import Problem
 from jaxclear.studies.store.batch import evaluate_all
 from jaxclear.studies.store.store import stored
-from jaxclear.studies.warned import told
+from jaxclear.studies.warned import sentences_among
 
 
 class Sweep(AbstractAnswer):
@@ -120,7 +120,7 @@ def sweep(
         )
         for i in np.flatnonzero(~good)
     }
-    return Sweep(problem, axes, responses, reasons, told(problem, result.checks, good))
+    return Sweep(problem, axes, responses, reasons, sentences_among(problem, result.checks, good))
 
 
 def _axis(name: str, values: Any, problem: Problem) -> np.ndarray:

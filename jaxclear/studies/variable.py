@@ -27,7 +27,7 @@ from jaxclear.studies.experiment import (
 )
 
 # The least quantile of a response that studies tell.
-TOLD_QUANTILE = 0.05
+LEAST_QUANTILE = 0.05
 # A derived number and the mechanism's own may differ by this share: data sheets round.
 SAME = 1e-3
 
@@ -146,7 +146,7 @@ class Variable(AbstractMechanismVariable):
         for path, leaf, metadata, unit in numbers_of_parts(mechanism):
             for place in [i for i, one in enumerate(leaves) if leaf is one]:
                 distribution = marginals_of(self.distribution)[place if self.parts else 0]
-                _warn_of_lost(name, on_host(distribution), float(leaf), (path, metadata, unit))
+                _warn_of_cut_off(name, on_host(distribution), float(leaf), (path, metadata, unit))
 
     def told(self, name, subject):
         leaves = jax.tree_util.tree_leaves_with_path(subject)
@@ -159,8 +159,8 @@ class Variable(AbstractMechanismVariable):
         unvaried = {id(leaf) for leaf in jax.tree.leaves(mechanism)} - varied
         for where, value in self.derived:
             what = f'what variable "{name}" derives'
-            leaves = jax.tree.leaves(_asked(f"the place of {what}", where, mechanism))
-            result = _asked(what, value, mechanism)
+            leaves = jax.tree.leaves(_evaluate_user(f"the place of {what}", where, mechanism))
+            result = _evaluate_user(what, value, mechanism)
             leaf: Any = leaves[0] if len(leaves) == 1 else leaves
             if id(leaf) not in unvaried or jnp.ndim(leaf) != 0:
                 raise ValueError(
@@ -304,13 +304,13 @@ def check_variables(variables: dict[str, Any], mechanism: Mechanism) -> None:
         expect(variable, AbstractMechanismVariable, f'variable "{name}"', expected)
         variable.check(name, mechanism)
     leaves = {name: variable.leaves(mechanism) for name, variable in variables.items()}
-    _check_apart(leaves)
+    _check_distinct(leaves)
     varied = {id(leaf) for group in leaves.values() for leaf in group}
     for name, variable in variables.items():
         variable.check_derived(name, mechanism, varied)
 
 
-def _check_apart(leaves: dict[str, list]) -> None:
+def _check_distinct(leaves: dict[str, list]) -> None:
     """Each number of the mechanism may vary by one variable only."""
     taken: dict[int, str] = {}
     for name, group in leaves.items():
@@ -323,7 +323,7 @@ def _check_apart(leaves: dict[str, list]) -> None:
                 )
 
 
-def _warn_of_lost(name: str, distribution: Any, leaf: Any, number: tuple[str, Any, str]) -> None:
+def _warn_of_cut_off(name: str, distribution: Any, leaf: Any, number: tuple[str, Any, str]) -> None:
     """Warns where more than the twentieth that studies tell of, the 5 % quantile, lies where the
     number cannot be."""
     path, metadata, unit = number
@@ -333,7 +333,7 @@ def _warn_of_lost(name: str, distribution: Any, leaf: Any, number: tuple[str, An
         for strict, inclusive in (("above", "at_least"), ("below", "at_most"))
     )
     for words, bound, sign in (("below", low, 1), ("above", high, -1)):
-        edge = TOLD_QUANTILE if sign == 1 else 1 - TOLD_QUANTILE
+        edge = LEAST_QUANTILE if sign == 1 else 1 - LEAST_QUANTILE
         if bound is None or sign * (leaf + distribution.quantile(edge) - bound) >= 0:
             continue
         part = float(scipy.special.ndtr(sign * distribution.score(bound - leaf)))
@@ -346,7 +346,7 @@ def _warn_of_lost(name: str, distribution: Any, leaf: Any, number: tuple[str, An
 def _check_place(name: str, where: Callable, mechanism: Mechanism) -> None:
     """What a variable of a mechanism points at."""
     what = f'variable "{name}" points at nothing in this mechanism: its `where`'
-    target = _asked(what, where, mechanism)
+    target = _evaluate_user(what, where, mechanism)
     leaves = target if isinstance(target, (tuple, list)) else [target]
     leaf_ids = {id(leaf) for leaf in jax.tree.leaves(mechanism)}
     if leaves and all(id(leaf) in leaf_ids and jnp.ndim(leaf) == 0 for leaf in leaves):
@@ -368,7 +368,7 @@ def _check_place(name: str, where: Callable, mechanism: Mechanism) -> None:
     )
 
 
-def _asked(what: str, function: Callable, mechanism: Mechanism) -> Any:
+def _evaluate_user(what: str, function: Callable, mechanism: Mechanism) -> Any:
     """What a user's function says of a mechanism; `what`: whose it is, for a sentence."""
     try:
         return function(mechanism)

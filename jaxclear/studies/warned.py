@@ -70,7 +70,7 @@ def sentences(
     return tuple(f"{listed(names)}: {sentence}" for sentence, names in by_sentence.items())
 
 
-def told(problem: Problem, checks: Checks, among: np.ndarray) -> tuple[str, ...]:
+def sentences_among(problem: Problem, checks: Checks, among: np.ndarray) -> tuple[str, ...]:
     """The `sentences` of a study that sees all its runs at once, of which those `among` (runs,)
     count."""
     return sentences(problem, codes_of(checks, len(among))[among])

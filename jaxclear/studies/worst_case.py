@@ -29,7 +29,7 @@ from jaxclear.integrators import Outcome
 from jaxclear.integrators.checks import Checks
 from jaxclear.studies.answer import RESPONSE, TABLE, VARIABLE, AbstractAnswer, Column, Stated
 from jaxclear.studies.distribution.base import END_SCORE
-from jaxclear.studies.endless import finite_beside, successes, why_unanswered
+from jaxclear.studies.endless import replace_infinite, successes, why_unanswered
 from jaxclear.studies.problem import Problem
 from jaxclear.studies.sampling import check_sampled
 from jaxclear.studies.scrambling import scrambled_shares
@@ -310,7 +310,7 @@ class Search:
             slopes = np.asarray(_value_and_slopes(self.problem, name, jnp.asarray(at))[1])
             return np.where(np.isfinite(slopes), slopes, 0.0)
         both = np.stack([np.where(np.eye(len(at)), end, at) for end in (self.low, self.high)])
-        ends = finite_beside(self.responses(both.reshape(-1, len(at)))[name].reshape(2, -1))
+        ends = replace_infinite(self.responses(both.reshape(-1, len(at)))[name].reshape(2, -1))
         width = self.high - self.low
         return np.nan_to_num((ends[1] - ends[0]) / np.where(width > 0, width, 1.0))
 

@@ -130,7 +130,7 @@ def test_volume_of_a_constant_load_is_that_of_archard():
     """However deep the wall, every turn takes the volume k F s / H."""
     ring = wearing_ring(slope=0.0)
     life = jc.wear_life(problem(ring), cycles=1e6)
-    lost = [stage.settled.last.lost["B"]["bearing"] for stage in life.stages[1:]]
+    lost = [stage.settled.last.volumes["B"]["bearing"] for stage in life.stages[1:]]
     assert life.over_life("depth")[-1] > 1e-5
     # The order in which a turn wears the cells leaves the wall uneven by a hundred-thousandth.
     np.testing.assert_allclose(lost, lost[0], rtol=1e-5)

@@ -67,7 +67,7 @@ def design(
     Raises:
         ValueError: if an argument is wrong.
     """
-    question = _asked(problem, cost, limits, tolerance, nominal, choose)
+    question = _make_question(problem, cost, limits, tolerance, nominal, choose)
     settings = _settings(settings)
     check_flags("design", progress_bar=progress_bar)
     return _designed(question, _runs(problem, settings, progress_bar), settings)
@@ -116,7 +116,7 @@ def design_front(
     show = choices.pop("progress_bar", False)
     check_flags("design_front", progress_bar=show)
     free = [choices.get(name) for name in ("tolerance", "nominal", "choose")]
-    question = _asked(problem, cost, limits, *free)
+    question = _make_question(problem, cost, limits, *free)
     check_count("limit of design_front", limit, at_least=0)
     if limit >= len(question.limits):
         raise ValueError(f"there is no limit {limit}; there are {len(question.limits)}, from 0 on.")
@@ -130,7 +130,7 @@ def design_front(
     return designs
 
 
-def _asked(
+def _make_question(
     problem: Any, cost: Any, limits: Any, tolerance: Any, nominal: Any, choose: Any
 ) -> Question:
     """The question, checked."""
@@ -165,10 +165,10 @@ def _runs(problem: Problem, settings: DesignSettings, show: bool) -> Runs:
 def _designed(question: Question, runs: Runs, settings: DesignSettings) -> Design:
     before = runs.count, runs.computed, runs.failed
     search = sought(question, runs, settings, _direct(runs.problem, settings))
-    return _told(search, runs, settings, before)
+    return _make_design(search, runs, settings, before)
 
 
-def _told(search: Sought, runs: Runs, settings: DesignSettings, before: tuple) -> Design:
+def _make_design(search: Sought, runs: Runs, settings: DesignSettings, before: tuple) -> Design:
     """The last round as a result."""
     last, question = search.rounds[-1], search.question
     place = jnp.asarray(last.candidate.place)

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxclear.studies.design.cost import Processes
-from jaxclear.studies.design.optimise import KEPT, Candidate, Search, cheapest, judged
+from jaxclear.studies.design.optimise import NEGLIGIBLE_EXCESS, Candidate, Search, cheapest, judged
 from jaxclear.studies.design.question import TOLERANCE
 
 # Combinations that are all tried, at the most; where none is left out by its cost, and other
@@ -64,7 +64,7 @@ def chosen(search: Search, relaxed: Candidate) -> Candidate:
         least = [price(one) if bounded else -np.inf for one in searches]
         result = best(here)
         for i in np.argsort(least, kind="stable"):
-            cheaper = result.broken > KEPT or least[i] < result.cost
+            cheaper = result.broken > NEGLIGIBLE_EXCESS or least[i] < result.cost
             if cheaper and not _hopeless(searches[i], relaxed.place, list(options)):
                 other = best(combinations[i])
                 result = other if other.better(result) else result
@@ -119,7 +119,7 @@ def _narrowed(search: Search, taken: dict[int, Option]) -> Search:
         low[i], high[i] = option.low, option.high
         if option.process is not None:
             name = question.freedom.names[question.freedom.choices[i].variable]
-            where_held = lambda q, name=name: q.cost[name].held
+            where_held = lambda q, name=name: q.cost[name].fixed_process
             question = eqx.tree_at(where_held, question, jnp.asarray(option.process))
     return search._replace(question=question, low=low, high=high)
 
@@ -129,8 +129,8 @@ def _hopeless(search: Search, place: np.ndarray, chosen: list[int]) -> bool:
     there lowers its excess, to first order."""
     place = np.clip(place, search.low, search.high)
     place[chosen] = search.low[chosen]
-    values, slopes = search.told(place)
+    values, slopes = search.evaluate(place)
     worst = 1 + int(np.argmax(values[1:]))
     down = np.where(place > search.low, slopes[worst], 0.0) > 0
     up = np.where(place < search.high, slopes[worst], 0.0) < 0
-    return bool(values[worst] > KEPT and not (down | up).any())
+    return bool(values[worst] > NEGLIGIBLE_EXCESS and not (down | up).any())

@@ -27,7 +27,7 @@ def cheapest_by_steps(search: Search, start: np.ndarray) -> Candidate:
     import optax
 
     place = np.clip(start, search.low, search.high)
-    first = search.told(place)[0]
+    first = search.evaluate(place)[0]
     scale, forces = abs(first[0]) or 1.0, np.zeros(len(first) - 1)
     for number in range(ROUNDS):
         size = max(FIRST_STEP * 0.5**number, 1e-3)
@@ -35,7 +35,7 @@ def cheapest_by_steps(search: Search, start: np.ndarray) -> Candidate:
         state = rule.init(place)
         summed, excess, count = np.zeros_like(place), np.zeros_like(forces), 0
         for step in range(STEPS):
-            values, slopes = search.told(place)
+            values, slopes = search.evaluate(place)
             push = np.maximum(forces + PENALTY * values[1:], 0.0)
             slope = slopes[0] / scale + push @ slopes[1:]
             change, state = rule.update(slope, state, place)

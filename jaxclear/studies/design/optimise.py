@@ -16,7 +16,7 @@ from jaxclear.studies.design.population import AbstractModel, Points
 from jaxclear.studies.design.question import Question
 
 # A limit broken by less than this share is kept: rounding of the optimiser.
-KEPT = 1e-6
+NEGLIGIBLE_EXCESS = 1e-6
 # A limit or bound within this share is one that decides.
 ACTIVE = 1e-4
 STEPS, ACCURACY = 100, 1e-9
@@ -40,7 +40,7 @@ class Candidate(NamedTuple):
 
     def better(self, other: "Candidate") -> bool:
         """Whether it is to be preferred: it keeps limits that the other breaks, or is cheaper."""
-        if max(self.broken, other.broken) > KEPT:
+        if max(self.broken, other.broken) > NEGLIGIBLE_EXCESS:
             return self.broken < other.broken
         return self.cost < other.cost
 
@@ -56,10 +56,10 @@ class Search(NamedTuple):
     low: np.ndarray
     high: np.ndarray
 
-    def told(self, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def evaluate(self, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Cost and excesses, (1 + limits,), and their slopes, (1 + limits, free). A limit whose
         response is no number for some parts is wholly broken."""
-        values, slopes = told(self.question, self.model, self.points, jnp.asarray(place))
+        values, slopes = linearise(self.question, self.model, self.points, jnp.asarray(place))
         values, slopes = np.array(values), np.array(slopes)
         values[1:] += self.shift
         is_missing = np.isnan(values)
@@ -68,7 +68,7 @@ class Search(NamedTuple):
 
 
 @eqx.filter_jit
-def told(question: Question, model: AbstractModel, points: Points, place: Any):
+def linearise(question: Question, model: AbstractModel, points: Points, place: Any):
     """Cost and excesses of a candidate, (1 + limits,), and their slopes, (1 + limits, free)."""
 
     def both(at):
@@ -96,7 +96,7 @@ def _from_one(search: Search, start: np.ndarray) -> Candidate:
         key = place.tobytes()
         if key not in cache:
             cache.clear()
-            cache[key] = search.told(place)
+            cache[key] = search.evaluate(place)
         return cache[key]
 
     scale = abs(at(start)[0][0]) or 1.0
@@ -118,7 +118,7 @@ def _from_one(search: Search, start: np.ndarray) -> Candidate:
 
 def judged(search: Search, place: np.ndarray) -> Candidate:
     """A place as a candidate, with its multipliers."""
-    values, slopes = search.told(place)
+    values, slopes = search.evaluate(place)
     sizes = multipliers(values[1:], slopes, place, search)
     return Candidate(place, float(values[0]), values[1:], sizes)
 

@@ -82,14 +82,14 @@ class Design(AbstractAnswer):
         error is larger than that, it does not cross the bound), no more of
         them failed than 1 %, or than the share that the rarest limit speaks of, and no more than
         5 % of them warn of what concerns a limited response."""
-        is_met = self.verified and bool(np.all(self._kept))
-        return is_met and not self._too_lost and not self._in_doubt
+        is_met = self.verified and bool(np.all(self._satisfied))
+        return is_met and not self._too_many_failed and not self._in_doubt
 
     @property
-    def _kept(self):
+    def _satisfied(self):
         check = self.rounds[-1].check
         return (
-            np.zeros(len(self.limits), bool) if check is None else check.kept(self.allowed_excess)
+            np.zeros(len(self.limits), bool) if check is None else check.holds(self.allowed_excess)
         )
 
     @property
@@ -119,7 +119,7 @@ class Design(AbstractAnswer):
         return [name for name in limited if name in self.problem.response_names]
 
     @property
-    def _too_lost(self):
+    def _too_many_failed(self):
         """Whether so many new runs failed that those which did not may not stand for the parts."""
         check = self.rounds[-1].check
         rarest = min(limit.rarest() for limit in self.limits)
@@ -158,7 +158,7 @@ class Design(AbstractAnswer):
         if self.infeasible:
             parts = [
                 "Infeasible: no choice within the bounds keeps all limits. Of the one that breaks "
-                f"them least, at a cost of {self.cost:.6g}, {self._told_broken()}. Widen what may "
+                f"them least, at a cost of {self.cost:.6g}, {self._broken_text()}. Widen what may "
                 "be chosen, or the limits."
             ]
         if self.processes:
@@ -172,10 +172,10 @@ class Design(AbstractAnswer):
             within = f"to within {100 * self.allowed_excess:g} %"
             parts.append(f"All limits hold, by {self.seen_by} new runs, {within}.")
         else:
-            broken = self._told_broken()
+            broken = self._broken_text()
             parts += [f"It does not hold: {broken}."] if broken else []
             parts += [
-                self._crossing(i) for i in np.flatnonzero(~self._kept) if i not in self._beyond
+                self._crossing(i) for i in np.flatnonzero(~self._satisfied) if i not in self._beyond
             ]
             parts += [f"It is not known to hold, by runs in doubt. {d}" for d in self._in_doubt]
         parts += [self._priced(i) for i in np.flatnonzero(self.prices > 0)]
@@ -197,9 +197,9 @@ class Design(AbstractAnswer):
         )
         return self.limits[i].unit(units[self.limits[i].response])
 
-    def _told_broken(self):
+    def _broken_text(self):
         broken = [self._broken(i) for i in self._beyond]
-        return "; ".join([*broken, self._lost()] if self._too_lost else broken)
+        return "; ".join([*broken, self._failure_text()] if self._too_many_failed else broken)
 
     def _crossing(self, i):
         number = with_error(float(self.numbers[i]), float(self.errors[i]))
@@ -215,9 +215,9 @@ class Design(AbstractAnswer):
         excess = f"{in_few(abs(float(self.numbers[i] - limit.bound())), 3)} {unit}".rstrip()
         return f"the {limit.words()} is {number}, {excess} {side} {as_written(limit.bound())}"
 
-    def _lost(self):
+    def _failure_text(self):
         check = self.rounds[-1].check
-        values = zip(self.question.freedom.names, check.lost, strict=True)
+        values = zip(self.question.freedom.names, check.failed_at, strict=True)
         such = ", ".join(f"{name} = {value:.6g}" for name, value in values)
         return (
             f"{check.failed} of {check.runs} new runs failed, such as that of {such}: narrow what "
@@ -269,7 +269,7 @@ class Design(AbstractAnswer):
                 "error": self.errors[i],
                 "bound": float(limit.bound()),
                 "side": "at most" if limit.upper() else "at least",
-                "holds": bool(self._kept[i]),
+                "holds": bool(self._satisfied[i]),
                 "price": self.prices[i],
             }
             for i, limit in enumerate(self.limits)

@@ -261,7 +261,7 @@ class _Seeking:
     def _good(self, candidate: Candidate, check: Check) -> bool:
         """Whether every limit is kept, and what decides is used up."""
         allowed = self.settings.allowed_excess
-        holds = check.kept(allowed)
+        holds = check.holds(allowed)
         used = (candidate.multipliers <= 0) | (
             check.excess >= -np.maximum(allowed, check.excess_errors)
         )

@@ -15,7 +15,7 @@ from jaxclear.studies.design.limit import SAME, AbstractLimit, Sample
 from jaxclear.studies.design.population import AbstractModel, Points, points
 from jaxclear.studies.design.question import Question
 from jaxclear.studies.design.runs import Runs
-from jaxclear.studies.endless import finite_beside, refuse_endless
+from jaxclear.studies.endless import refuse_endless, replace_infinite
 from jaxclear.studies.statistics.scrambled import student
 from jaxclear.studies.surface.control_variate import with_difference
 
@@ -27,8 +27,8 @@ INSTEAD = "take limit.Quantile or limit.Probability"
 
 class Check(NamedTuple):
     """Limited numbers (limits,) and their 95 % errors, excesses (limits,) [1] and theirs, how many
-    runs told them and how many of these failed; `lost` (variables,): the values of the first of
-    these, if any; `codes` (those that did not,): of what they warn (`studies.warned`)."""
+    runs told them and how many of these failed; `failed_at` (variables,): the values of the first
+    of these, if any; `codes` (those that did not,): of what they warn (`studies.warned`)."""
 
     numbers: np.ndarray
     errors: np.ndarray
@@ -36,10 +36,10 @@ class Check(NamedTuple):
     excess_errors: np.ndarray
     runs: int
     failed: int
-    lost: np.ndarray | None
+    failed_at: np.ndarray | None
     codes: np.ndarray
 
-    def kept(self, allowed: float) -> np.ndarray:
+    def holds(self, allowed: float) -> np.ndarray:
         """Whether each limit is kept (limits,) but for an excess that is `allowed` [1]. Where its
         error is larger than that, it must not cross the bound."""
         sure = self.excess_errors <= allowed
@@ -79,9 +79,9 @@ class Verifier(NamedTuple):
                 # A number that stands for infinite ones is none to be told.
                 rows.append([np.inf if number > largest else number, excess])
             estimates.append(rows)
-        return self._told(np.array(estimates), values, good, self.runs.warned(before))
+        return self._make_check(np.array(estimates), values, good, self.runs.warned(before))
 
-    def _told(
+    def _make_check(
         self, rows: np.ndarray, values: np.ndarray, good: np.ndarray, codes: np.ndarray
     ) -> Check:
         """`rows` (limits, 1 + groups, 2): numbers and excesses, of all groups and without each;
@@ -147,7 +147,7 @@ def _finite(limit: AbstractLimit, values: np.ndarray) -> tuple[np.ndarray, float
     finite = [*values[np.isfinite(values)].tolist(), *levels]
     # A number in another unit, such as a share, is not one of the values.
     same_unit = limit.unit(SAME) == SAME
-    return finite_beside(values, *levels), max(finite, default=-np.inf) if same_unit else np.inf
+    return replace_infinite(values, *levels), max(finite, default=-np.inf) if same_unit else np.inf
 
 
 @eqx.filter_jit

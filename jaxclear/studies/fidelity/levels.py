@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxclear.studies.fidelity.model import Model, told_by
+from jaxclear.studies.fidelity.model import Model, model_responses
 from jaxclear.studies.sampling import by_scrambling, draw
 from jaxclear.studies.scrambling import seed_of
 from jaxclear.studies.surface.control_variate import regressed
@@ -106,33 +106,33 @@ class Link:
 
     def __init__(self, models: list[Model], weights: np.ndarray | None, cost: float):
         self.models, self.weights, self.cost = models, weights, cost
-        self.left = self.own = np.zeros((0, 0, 0))
+        self.residuals = self.moments = np.zeros((0, 0, 0))
         self.good = self.warned = np.zeros(0, bool)
 
     def add(self, values: np.ndarray, parts: int, question, progress_bar: bool) -> None:
         """Takes in the samples at values, the scramblings taking turns."""
         upper = self.models[0].runs(values, progress_bar)
-        upper_runs = told_by(self.models[0], question.names, upper)
+        upper_runs = model_responses(self.models[0], question.names, upper)
         moments = upper_runs.moments(question.middle)
         correction = moments
         if self.weights is not None:
-            lower = told_by(self.models[1], question.names, self.models[1].runs(values))
+            lower = model_responses(self.models[1], question.names, self.models[1].runs(values))
             correction = moments - self.weights * lower.moments(question.middle)
         empty = (parts, -1, moments.shape[1])
         cut = lambda array: by_scrambling(array, parts)
-        self.left = np.concatenate([self.left.reshape(empty), cut(correction)], axis=1)
-        self.own = np.concatenate([self.own.reshape(empty), cut(moments)], axis=1)
+        self.residuals = np.concatenate([self.residuals.reshape(empty), cut(correction)], axis=1)
+        self.moments = np.concatenate([self.moments.reshape(empty), cut(moments)], axis=1)
         self.good = np.concatenate([self.good, upper_runs.good])
         self.warned = np.concatenate([self.warned, question.doubt(upper, len(values))])
 
     @property
     def points(self) -> int:
         """Points of each scrambling."""
-        return self.left.shape[1]
+        return self.residuals.shape[1]
 
     def means(self) -> np.ndarray:
         """By scrambling, (scramblings, moments)."""
-        return self.left.mean(axis=1)
+        return self.residuals.mean(axis=1)
 
 
 class Links:
@@ -200,7 +200,7 @@ class Links:
     def plain(self) -> np.ndarray:
         """The same of the runs of the problem alone, by half, a quarter and an eighth of the points
         too: (sizes, scramblings, moments), the largest first."""
-        moments = self.links[0].own
+        moments = self.links[0].moments
         sizes: list[np.ndarray] = []
         count = moments.shape[1]
         while count >= 1 and len(sizes) < 4:

@@ -117,7 +117,7 @@ def models_of(problem: Problem, cheaper: Any, samples: int) -> list[Model]:
     return models
 
 
-class Told(NamedTuple):
+class ModelResponses(NamedTuple):
     """What runs of a model tell of each response of the problem: `responses` (samples, responses),
     nan where it failed or has none, and whether each run is good and carries no warning."""
 
@@ -131,11 +131,11 @@ class Told(NamedTuple):
         return np.concatenate([away, away**2], axis=1)
 
 
-def told_by(model: Model, names: tuple[str, ...], result: Any) -> Told:
+def model_responses(model: Model, names: tuple[str, ...], result: Any) -> ModelResponses:
     """What samples of a model tell of the responses of these names."""
     reached, nothing = result.reached_responses(), np.full(len(result.outcome), np.nan)
     refuse_endless(model.problem, result.responses, "mean or deviation")
     indices = [i for i, name in enumerate(names) if name in model.problem.response_names]
     responses = np.stack([reached.get(name, nothing) for name in names], axis=1)
     good = np.all(np.isfinite(responses[:, indices]), axis=1)
-    return Told(np.where(good[:, None], responses, np.nan), good)
+    return ModelResponses(np.where(good[:, None], responses, np.nan), good)

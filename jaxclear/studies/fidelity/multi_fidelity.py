@@ -15,12 +15,12 @@ import numpy as np
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_count, check_flags, check_number
 from jaxclear.studies.fidelity.levels import FIRST, Chain, Links, chosen
-from jaxclear.studies.fidelity.model import Model, models_of, told_by
+from jaxclear.studies.fidelity.model import Model, model_responses, models_of
 from jaxclear.studies.fidelity.result import MultiFidelity, rate
 from jaxclear.studies.problem import Problem
 from jaxclear.studies.sampling import check_sampled, draw
 from jaxclear.studies.scrambling import seed_of
-from jaxclear.studies.statistics.accuracy import asked_of, unreached
+from jaxclear.studies.statistics.accuracy import parse_accuracy, unreached
 from jaxclear.studies.statistics.scrambled import Statistic, deviation_of_moments, student
 from jaxclear.studies.store.store import stored
 from jaxclear.studies.warned import any_warning
@@ -99,16 +99,16 @@ def multi_fidelity(
     check_flags("multi_fidelity", progress_bar=progress_bar)
     least = SCRAMBLINGS * (PILOT_POINTS + FIRST)
     check_count("samples of multi_fidelity", samples, at_least=2 * least)
-    request = asked_of(accuracy, problem.response_names, "multi_fidelity")
+    request = parse_accuracy(accuracy, problem.response_names, "multi_fidelity")
     models = models_of(problem, cheaper, samples)
-    fixed_costs = _known_costs(costs, models)
+    fixed_costs = _check_costs(costs, models)
     points = 2 ** int(np.log2(max(samples * PILOT_SHARE / SCRAMBLINGS, PILOT_POINTS)))
     question = Question(
         problem, problem.response_names, np.zeros(0), seed, sampling, SCRAMBLINGS, progress_bar
     )
     pilot = _Pilot(question, models, points, fixed_costs)
     question = question._replace(middle=pilot.middle)
-    errors, target = pilot.wanted(request)
+    errors, target = pilot.target_errors(request)
     chain = chosen(pilot.moments(), pilot.costs, errors, SCRAMBLINGS)
     links = Links(question, models, chain, pilot.costs)
     links.begin(samples - pilot.work)
@@ -122,7 +122,7 @@ def multi_fidelity(
     return _result(question, models, chain, links, pilot, target if request else None)
 
 
-def _known_costs(costs: Mapping[str, float] | None, models: list[Model]) -> dict[str, float]:
+def _check_costs(costs: Mapping[str, float] | None, models: list[Model]) -> dict[str, float]:
     names = [model.name for model in models[1:]]
     for name, cost in (costs or {}).items():
         if name not in names:
@@ -144,14 +144,14 @@ class _Pilot:
         bar = question.progress_bar
         run = lambda m: (m.runs(values, bar), 1.0) if plain else m.timed(values, bar)
         results = {model.name: run(model) for model in models}
-        self.told = [told_by(model, names, results[model.name][0]) for model in models]
+        self.outcomes = [model_responses(model, names, results[model.name][0]) for model in models]
         first = results[models[0].name][1]
         spent = {name: seconds / first for name, (_, seconds) in results.items()}
         measured = {n: ROUNDED ** np.round(np.log(x) / np.log(ROUNDED)) for n, x in spent.items()}
         self.costs = np.array([1.0, *((measured | fixed_costs)[m.name] for m in models[1:])])
         self.work = count * float(self.costs.sum())
-        responses = self.told[0].responses
-        if not np.any(self.told[0].good):
+        responses = self.outcomes[0].responses
+        if not np.any(self.outcomes[0].good):
             raise ValueError(
                 f"all {count} runs of the pilot sample failed; look at one with "
                 "jaxclear.monte_carlo(problem, ...).failures()."
@@ -161,14 +161,14 @@ class _Pilot:
 
     def failed(self) -> dict[str, float]:
         """Share [1] of the runs of each cheaper model that failed."""
-        shares = [float((~runs.good).mean()) for runs in self.told[1:]]
+        shares = [float((~runs.good).mean()) for runs in self.outcomes[1:]]
         return {m.name: share for m, share in zip(self.models[1:], shares, strict=True)}
 
     def moments(self) -> list[np.ndarray]:
         """Of each model, (samples, 2 responses)."""
-        return [runs.moments(self.middle) for runs in self.told]
+        return [runs.moments(self.middle) for runs in self.outcomes]
 
-    def wanted(self, request: Any) -> tuple[np.ndarray, np.ndarray]:
+    def target_errors(self, request: Any) -> tuple[np.ndarray, np.ndarray]:
         """Half widths (responses,) by which responses are weighed against each other, and those
         that end the study: none is too small where no accuracy is asked."""
         size = np.where(self.size > 0, self.size, 1.0)
@@ -183,8 +183,8 @@ class _Pilot:
     def correlations(self) -> dict[tuple[str, str], float]:
         """Of each cheaper model's responses with the problem's."""
         values = {}
-        first = self.told[0].responses
-        for model, runs in zip(self.models[1:], self.told[1:], strict=True):
+        first = self.outcomes[0].responses
+        for model, runs in zip(self.models[1:], self.outcomes[1:], strict=True):
             for i, name in enumerate(self.question.names):
                 if name in model.problem.response_names:
                     both = np.isfinite(first[:, i]) & np.isfinite(runs.responses[:, i])

@@ -48,7 +48,7 @@ class MultiFidelity(AbstractAnswer):
         ]
         text = f"{' and '.join(counted)} in {self.scramblings} independent scramblings: the work "
         text += f"of {self.work:.0f} runs of the problem, and {self.pilot:.0f} for the choice."
-        parts = [text, self._gained(), self._left_out(), self._broken(), self.unreached]
+        parts = [text, self._gained(), self._unused_models(), self._broken(), self.unreached]
         if self.failed:
             parts.append(f"{self.failed} runs of the problem failed: numbers are of the others.")
         if self.warned:
@@ -66,7 +66,7 @@ class MultiFidelity(AbstractAnswer):
             parts.append(f"It would have been cheaper for {', '.join(without_gain)}.")
         return " ".join(parts)
 
-    def _left_out(self) -> str:
+    def _unused_models(self) -> str:
         """Why models were not used."""
         out = [name for name in self.costs if name not in self.used]
         if not out:

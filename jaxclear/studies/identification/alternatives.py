@@ -14,7 +14,7 @@ import scipy
 from jaxclear.studies.identification.signal_fit import REFUSED, CredibleInterval, SignalFit
 
 
-class Kept(NamedTuple):
+class ModelChoice(NamedTuple):
     """`models`: names of those that the records do not speak against, the nearest first;
     `against`: a sentence by name of each other."""
 
@@ -22,7 +22,7 @@ class Kept(NamedTuple):
     against: dict[str, str]
 
 
-def kept_models(fits: Mapping[str, Sequence[SignalFit]]) -> Kept:
+def choose_models(fits: Mapping[str, Sequence[SignalFit]]) -> ModelChoice:
     """Which models stay, by their fits of each record. One is left out where a record refuses it,
     or where the nearest is so much nearer that one right model in a thousand would be."""
     against = {}
@@ -30,7 +30,7 @@ def kept_models(fits: Mapping[str, Sequence[SignalFit]]) -> Kept:
         refused = [fit.refusal for fit in model_fits if fit.refusal]
         if refused:
             against[name] = refused[0]
-    order = sorted((name for name in fits if name not in against), key=lambda n: _left(fits[n]))
+    order = sorted((name for name in fits if name not in against), key=lambda n: _log_size(fits[n]))
     retained = order[:1]
     for name in order[1:]:
         extra_unknowns = len(fits[name][0].best) - len(fits[order[0]][0].best)
@@ -43,10 +43,10 @@ def kept_models(fits: Mapping[str, Sequence[SignalFit]]) -> Kept:
                 f'"{order[0]}" is nearer to what was measured: twice the logarithm of the ratio of '
                 f"their likelihoods is {ratio:.3g}, where {limit:.3g} is the most of equals."
             )
-    return Kept(tuple(retained), against)
+    return ModelChoice(tuple(retained), against)
 
 
-def _left(fits: Sequence[SignalFit]) -> float:
+def _log_size(fits: Sequence[SignalFit]) -> float:
     """What is left of the records, as a logarithm."""
     return float(sum(np.log(misfit.size) for fit in fits for misfit in fit.misfits.values()))
 

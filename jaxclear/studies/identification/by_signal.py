@@ -6,7 +6,7 @@ say that the records do not speak against.
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-from jaxclear.studies.identification.alternatives import Kept, hull, kept_models
+from jaxclear.studies.identification.alternatives import ModelChoice, choose_models, hull
 from jaxclear.studies.identification.forward import Forward, Record
 from jaxclear.studies.identification.several_records import (
     FEWEST,
@@ -19,26 +19,26 @@ from jaxclear.studies.problem import Problem
 
 
 class BySignal(NamedTuple):
-    """What records tell. `fits`: of each model each record; `kept`: the models that remain, and
-    sentences against the others; `unknowns` and `answers`: intervals that hold those of all kept
-    models, for what all have (of several records, of the next one); `own`: what only some models
-    have, by model; `between`: the differences between records, by model and name."""
+    """What records tell. `fits`: of each model each record; `choice`: the models that remain, and
+    sentences against the others; `unknowns` and `answers`: intervals that hold those of all
+    remaining models, for what all have (of several records, of the next one); `by_model`: what only
+    some models have, by model; `between`: the differences between records, by model and name."""
 
     fits: dict[str, tuple[SignalFit, ...]]
-    kept: Kept
+    choice: ModelChoice
     unknowns: dict[str, CredibleInterval]
     answers: dict[str, CredibleInterval]
-    own: dict[str, dict[str, CredibleInterval]]
+    by_model: dict[str, dict[str, CredibleInterval]]
     between: dict[str, dict[str, NextRecord]]
 
     @property
     def refusal(self) -> str:
         """Why nothing is told; "" where something is."""
-        if self.kept.models:
+        if self.choice.models:
             return ""
         if len(self.fits) == 1:
-            return next(iter(self.kept.against.values()))
-        return " ".join(f"{name}: {why}" for name, why in self.kept.against.items())
+            return next(iter(self.choice.against.values()))
+        return " ".join(f"{name}: {why}" for name, why in self.choice.against.items())
 
 
 def by_signal(
@@ -56,7 +56,7 @@ def by_signal(
         name: tuple(fit_signal(model, record, **how) for model, record in every)
         for name, every in models.items()
     }
-    retained = kept_models(fits)
+    retained = choose_models(fits)
     unknowns: dict[str, dict[str, CredibleInterval]] = {}
     answers: dict[str, dict[str, CredibleInterval]] = {}
     between: dict[str, dict[str, NextRecord]] = {}

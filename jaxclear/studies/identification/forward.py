@@ -41,7 +41,7 @@ class Record(NamedTuple):
         return tuple(slice(a, b) for a, b in itertools.pairwise(ends))
 
 
-class Shown(NamedTuple):
+class ModelOutput(NamedTuple):
     """What one set of values gives: signals (n,) and responses, by name."""
 
     signals: Mapping[str, Array]
@@ -53,14 +53,14 @@ class Forward(eqx.Module):
     values)`; `names` of the signals, in the order of the record. Pure."""
 
     problem: Problem
-    shown: Callable[[Any, Array], Shown]
+    simulate: Callable[[Any, Array], ModelOutput]
     names: tuple[str, ...] = eqx.field(static=True)
 
     def row(self, values: Float[Array, " variables"]) -> Float[Array, " n"]:
         """The signals in one row."""
-        return self.in_row(self.shown(self.problem, values))
+        return self.in_row(self.simulate(self.problem, values))
 
-    def in_row(self, output: Shown) -> Float[Array, " n"]:
+    def in_row(self, output: ModelOutput) -> Float[Array, " n"]:
         """The signals of what was shown in one row."""
         return jnp.concatenate([output.signals[name] for name in self.names])
 
@@ -74,7 +74,7 @@ class _Rows(eqx.Module):
         """Signals (samples, n) and responses (samples,) by name."""
 
         def one(row: Array) -> tuple[Array, dict[str, Array]]:
-            output = self.forward.shown(problem, row)
+            output = self.forward.simulate(problem, row)
             return self.forward.in_row(output), dict(output.responses)
 
         return jax.vmap(one)(values)
@@ -91,7 +91,7 @@ def answered(forward: Forward, values: np.ndarray) -> tuple[np.ndarray, dict[str
 def check_signals(forward: Forward, record: Record) -> None:
     """Raises `ValueError` with a sentence where a signal is not as long as its measurement."""
     nominal = forward.problem.nominal()
-    shapes = eqx.filter_eval_shape(forward.shown, forward.problem, nominal).signals
+    shapes = eqx.filter_eval_shape(forward.simulate, forward.problem, nominal).signals
     for name, measured in record.signals.items():
         if name not in shapes:
             names = listed(shapes) or "none"

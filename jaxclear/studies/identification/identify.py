@@ -25,7 +25,12 @@ from jaxclear.studies.identification.models import (
     only_one,
     same_sensing,
 )
-from jaxclear.studies.identification.regression import Regression, regression, told, told_alone
+from jaxclear.studies.identification.regression import (
+    Regression,
+    predict,
+    regression,
+    residuals_alone,
+)
 from jaxclear.studies.identification.result import (
     NOT,
     NOTHING,
@@ -52,19 +57,19 @@ from jaxclear.studies.identification.sample import (
     statistics_of,
     watched,
 )
-from jaxclear.studies.identification.told import of_records, told_by_signals
+from jaxclear.studies.identification.told import identify_by_signals, of_records
 from jaxclear.studies.problem import Problem
 from jaxclear.studies.sampling import check_sampled
 from jaxclear.studies.store.store import open_store
 
-WAYS = ("statistics", "signal")
+METHODS = ("statistics", "signal")
 # What a folder is told to hold.
 WHAT = "the sample of an identification"
 # Runs below which residuals say nothing of an interval of 95 %.
 LEAST_RUNS = 64
 # Statistics tell an unknown where their left-out residuals are below this share of the prior's
 # deviation; beyond it, an interval that is narrower at some estimate is so by chance.
-TELLS = 0.9
+LARGEST_RESIDUAL = 0.9
 
 
 @answering
@@ -117,7 +122,7 @@ def identify(
     """
     records = checked_records(data)
     check_count("runs of identify", runs, at_least=LEAST_RUNS)
-    check_name("way", how, WAYS, " of identify")
+    check_name("way", how, METHODS, " of identify")
     check_flags("identify", progress_bar=progress_bar)
     models = models_of(problem, records)
     records = compared_records(problem, records)
@@ -126,7 +131,7 @@ def identify(
             check_sampled(model, runs, seed)
     if how == "signal":
         check_only_signals(statistics=statistics, laws=laws, store=store)
-        return told_by_signals(models, records, runs, seed)
+        return identify_by_signals(models, records, runs, seed)
     results: list[Identified] = []
     fitted: list[tuple[Any, Measurement, RegressedStatistics]] = []
     for model, record in zip(only_one(models), records, strict=True):
@@ -205,8 +210,8 @@ def answered(context: RegressedStatistics, record: Measurement) -> Identified:
     stats = statistics_of(as_signals(signals, record, context.cut), context.statistics)
     here = np.concatenate([one[0] for one in stats.values()])
     rows = [
-        (row.estimate, row.low, row.high) if scatter < TELLS else NOTHING
-        for row, scatter in zip(told(fitted, here), fitted.scatter, strict=True)
+        (row.estimate, row.low, row.high) if scatter < LARGEST_RESIDUAL else NOTHING
+        for row, scatter in zip(predict(fitted, here), fitted.scatter, strict=True)
     ]
     unknowns = tuple(
         unknown_of(problem, name, row, context.tellers[name])
@@ -241,11 +246,11 @@ def _tellers(
     kinds: dict[str, np.ndarray], shares: np.ndarray, names: Sequence[str]
 ) -> dict[str, str]:
     """By unknown the kind of statistics that tells it best by itself."""
-    missed = {what: told_alone(kind, shares) for what, kind in kinds.items()}
+    missed = {what: residuals_alone(kind, shares) for what, kind in kinds.items()}
     tellers = {}
     for k, name in enumerate(names):
         best = min(missed, key=lambda what: float(missed[what][k]))
-        tellers[name] = best if missed[best][k] < TELLS else ""
+        tellers[name] = best if missed[best][k] < LARGEST_RESIDUAL else ""
     return tellers
 
 

@@ -44,17 +44,17 @@ def _choice() -> Any:
 class ChosenDissipation(AbstractDissipation):
     """The mechanism's own dissipation or one of the `others`, at the own law's restitution."""
 
-    own: AbstractRestitutionFactor = eqx.field(default_factory=CarvalhoMartins)
+    stated: AbstractRestitutionFactor = eqx.field(default_factory=CarvalhoMartins)
     others: tuple[AbstractRestitutionFactor, ...] = ()
     choice: Scalar = _choice()
     remembers_impact_speed = True
 
     @property
     def restitution(self):
-        return self.own.restitution
+        return self.stated.restitution
 
     def relative_damping(self, rate, impact_speed):
-        laws = (self.own, *(_with(one, "restitution", self.restitution) for one in self.others))
+        laws = (self.stated, *(_with(one, "restitution", self.restitution) for one in self.others))
         factors = [law.factor() for law in laws]
         return _chosen(factors, self.choice) * rate / impact_speed
 
@@ -63,21 +63,21 @@ class ChosenFriction(AbstractSlipFriction):
     """The mechanism's own friction or one of the `others`, at the own law's kinetic coefficient;
     its other numbers are those of the own law."""
 
-    own: AbstractSlipFriction = eqx.field(default_factory=CoulombTanh)
+    stated: AbstractSlipFriction = eqx.field(default_factory=CoulombTanh)
     others: tuple[AbstractSlipFriction, ...] = ()
     choice: Scalar = _choice()
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("_") or name in ("own", "others", "choice"):
             raise AttributeError(name)
-        return getattr(self.own, name)
+        return getattr(self.stated, name)
 
     def _laws(self) -> tuple[AbstractSlipFriction, ...]:
-        coefficient = _coefficient(self.own)
-        return (self.own, *(_with(one, "mu_kinetic", coefficient) for one in self.others))
+        coefficient = _coefficient(self.stated)
+        return (self.stated, *(_with(one, "mu_kinetic", coefficient) for one in self.others))
 
     def coulomb(self):
-        return self.own.coulomb()
+        return self.stated.coulomb()
 
     def largest_slope(self, step):
         slopes = [law.largest_slope(step) for law in self._laws()]

@@ -71,7 +71,7 @@ def _solved(forward: Forward, starts: Array, measured: Array, scale: Array, mask
 
 
 @eqx.filter_jit
-def _seen_at(forward: Forward, normals: Array, measured: Array):
+def _residuals_and_slopes(forward: Forward, normals: Array, measured: Array):
     inputs = forward.problem.inputs
     row_of = lambda normal: forward.row(inputs.values(normal))
     rows = jax.vmap(lambda normal: row_of(normal) - measured)(normals)
@@ -106,7 +106,7 @@ def optima(
         solutions, ended = _solved(forward, *map(jnp.asarray, (normals, measured, scale, mask)))
         normals = np.where(np.isfinite(solutions), solutions, normals)
     residuals, slopes = map(
-        np.asarray, _seen_at(forward, jnp.asarray(normals), jnp.asarray(measured))
+        np.asarray, _residuals_and_slopes(forward, jnp.asarray(normals), jnp.asarray(measured))
     )
     every = [
         _optimum(*each, scale)

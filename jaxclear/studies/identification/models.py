@@ -15,7 +15,7 @@ from jaxtyping import Array
 from jaxclear.ground.arguments import check_name, expect
 from jaxclear.ground.wording import described, listed
 from jaxclear.studies.function_problem import Dimension, FunctionExperiment
-from jaxclear.studies.identification.forward import Forward, Record, Shown
+from jaxclear.studies.identification.forward import Forward, ModelOutput, Record
 from jaxclear.studies.identification.laws import Ensemble
 from jaxclear.studies.identification.measurement import Measurement
 from jaxclear.studies.identification.sample import (
@@ -27,7 +27,7 @@ from jaxclear.studies.identification.sample import (
 from jaxclear.studies.problem import Problem
 from jaxclear.studies.responses import answers
 from jaxclear.studies.run_experiment import RunExperiment
-from jaxclear.studies.sensor import AbstractSensor, Series, passed
+from jaxclear.studies.sensor import AbstractSensor, Series, filter_signal
 
 Model: TypeAlias = Problem | Callable[[Measurement], Problem]
 # The model that is asked about where there is only one.
@@ -145,28 +145,28 @@ class _OfFunction(eqx.Module):
     sensors: dict[str, Any]
     rate: Array
 
-    def __call__(self, problem: Problem, values: Array) -> Shown:
+    def __call__(self, problem: Problem, values: Array) -> ModelOutput:
         """Those of one set of values."""
         outputs = problem.answers(problem.setting(values))
         signals = {n: _sensed(sensor, outputs, self.rate) for n, sensor in self.sensors.items()}
-        return Shown(signals, {name: outputs[name] for name in problem.response_names})
+        return ModelOutput(signals, {name: outputs[name] for name in problem.response_names})
 
 
 class _OfRun(eqx.Module):
-    """Signals and responses of a run, of which a record saw the samples `shown`."""
+    """Signals and responses of a run, of which a record saw the samples `window`."""
 
     sensors: dict[str, AbstractSensor]
     rate: Array
     problem: Problem
-    shown: slice = eqx.field(static=True)
+    window: slice = eqx.field(static=True)
 
-    def __call__(self, problem: Problem, values: Array) -> Shown:
+    def __call__(self, problem: Problem, values: Array) -> ModelOutput:
         """Those of one set of values; nan where the run did not reach its end."""
         run = problem.started(problem.setting(values))[2]
-        last = lambda signal: jnp.where(run.succeeded, signal, jnp.nan)[self.shown]
+        last = lambda signal: jnp.where(run.succeeded, signal, jnp.nan)[self.window]
         signals = {n: last(_sensed(sensor, run, self.rate)) for n, sensor in self.sensors.items()}
-        return Shown(signals, answers(self.problem.response, run))
+        return ModelOutput(signals, answers(self.problem.response, run))
 
 
 def _sensed(sensor: Any, run: Any, rate: Array) -> Array:
-    return passed(sensor(run), rate, sensor.bandwidth, sensor.delay, sensor.gain)
+    return filter_signal(sensor(run), rate, sensor.bandwidth, sensor.delay, sensor.gain)

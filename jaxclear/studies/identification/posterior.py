@@ -73,7 +73,7 @@ class Draws(NamedTuple):
     normal: np.ndarray
     weights: np.ndarray
     prior_weights: np.ndarray
-    beside: Any
+    extras: Any
 
     @property
     def effective(self) -> float:

@@ -68,17 +68,18 @@ def whitened(statistics: np.ndarray) -> Whitened:
 
 class Surface(NamedTuple):
     """The regression of one unknown: `length` of the kernel, `weights` (runs,), `mean`, the
-    `left_out` estimates (runs,) of each run that it did not see, and their `residuals` (runs,)."""
+    `predictions` (runs,) of each run without that run, and their `residuals`
+    (runs,)."""
 
     length: float
     weights: np.ndarray
     mean: float
-    left_out: np.ndarray
+    predictions: np.ndarray
     residuals: np.ndarray
 
     def spread(self, estimate: float, but: int | None = None) -> float:
         """Root mean square of the residuals of the runs nearest by estimate, one left out."""
-        errors = np.abs(self.left_out - estimate)
+        errors = np.abs(self.predictions - estimate)
         if but is not None:
             errors[but] = np.inf
         count = min(max(LEAST_NEAREST, int(NEAREST_SHARE * len(errors))), len(errors) - 1)
@@ -87,7 +88,7 @@ class Surface(NamedTuple):
 
     def spreads(self) -> np.ndarray:
         """That of the others about each run (runs,)."""
-        return np.array([self.spread(row, i) for i, row in enumerate(self.left_out)])
+        return np.array([self.spread(row, i) for i, row in enumerate(self.predictions)])
 
 
 class Fold(NamedTuple):
@@ -169,7 +170,7 @@ def _folds(statistics: np.ndarray) -> tuple[Fold, ...]:
     return tuple(folds)
 
 
-def told_alone(statistics: np.ndarray, unknowns: np.ndarray) -> np.ndarray:
+def residuals_alone(statistics: np.ndarray, unknowns: np.ndarray) -> np.ndarray:
     """Root mean square (unknowns,) of what some statistics alone miss of runs that are left out,
     beside the prior's deviation [1]."""
     surfaces = _surfaces(whitened(statistics)(statistics), unknowns, ONE_LENGTH)
@@ -191,7 +192,7 @@ def _surfaces(
         for ridge in RIDGES:
             inverse = 1 / (np.maximum(values, 0) + ridge)
             weights = vectors @ (inverse[:, None] * rotated)
-            residuals = _left_out(vectors, inverse, weights, groups)
+            residuals = _leave_out_residuals(vectors, inverse, weights, groups)
             for k, missed in enumerate(np.mean(residuals**2, axis=0)):
                 best_surface = best[k]
                 if best_surface is None or missed < best_surface[0]:
@@ -202,7 +203,7 @@ def _surfaces(
     return tuple(entry[1] for entry in best if entry is not None)
 
 
-def _left_out(
+def _leave_out_residuals(
     vectors: np.ndarray, inverse: np.ndarray, weights: np.ndarray, groups: np.ndarray | None
 ) -> np.ndarray:
     """Residuals (runs, unknowns) of runs that a ridge regression does not see, from that of all:
@@ -240,7 +241,7 @@ def conformal(residuals: np.ndarray, level: float = 0.95) -> tuple[float, float]
     return float(ranked[count - above]), float(ranked[above - 1])
 
 
-class Told(NamedTuple):
+class Prediction(NamedTuple):
     """An unknown of one record, as shares of its prior [1]: `estimate`, `low` and `high` ends of
     its interval, and the `sample` of what it may be."""
 
@@ -250,7 +251,7 @@ class Told(NamedTuple):
     sample: np.ndarray
 
 
-def told(fitted: Regression, statistics: np.ndarray, level: float = 0.95) -> list[Told]:
+def predict(fitted: Regression, statistics: np.ndarray, level: float = 0.95) -> list[Prediction]:
     """What the statistics (statistics,) of a record say of each unknown."""
     # One beyond an end of the prior stands at the end, with an interval of its usual width.
     estimates = np.clip(fitted.estimates(statistics)[0], 0.0, 1.0)
@@ -259,7 +260,7 @@ def told(fitted: Regression, statistics: np.ndarray, level: float = 0.95) -> lis
         low, high = conformal(missed, level)
         within = lambda share: float(np.clip(share, 0.0, 1.0))
         ends = within(estimate), within(estimate + low), within(estimate + high)
-        intervals.append(Told(*ends, np.clip(estimate + missed, 0.0, 1.0)))
+        intervals.append(Prediction(*ends, np.clip(estimate + missed, 0.0, 1.0)))
     return intervals
 
 

@@ -143,7 +143,7 @@ class Evidence(NamedTuple):
     kinds: dict[str, tuple[np.ndarray, np.ndarray]]
     shares: np.ndarray
 
-    def held(self) -> np.ndarray:
+    def coverage(self) -> np.ndarray:
         """Whether the interval of each run of the sample, left out, holds its unknowns."""
         return calibration(self.fitted, LEVEL)
 
@@ -192,7 +192,7 @@ class Identified(AbstractAnswer):
         it: 0.95 is promised. Empty where no sample was regressed on."""
         if self.evidence is None:
             return {}
-        return dict(zip(self.problem.names, self.evidence.held().mean(0).tolist(), strict=True))
+        return dict(zip(self.problem.names, self.evidence.coverage().mean(0).tolist(), strict=True))
 
     def posterior(self, duration: float | None = None) -> Problem:
         """The problem whose variables follow what the record leaves of their priors, with the

@@ -117,14 +117,14 @@ def window_end(problem: Problem, record: Measurement) -> int | None:
     margin = round(float(problem.duration) * record.rate) + 1 - len(record.time)
     cut = round(record.cut_off * record.rate)
     if cut > margin and record.turn is not None and not isinstance(record.turn, str):
-        cut = round(_beyond_whole_turns(record) * record.rate)
+        cut = round(_time_to_full_turn(record) * record.rate)
     elif cut > margin:
         # What tells its turns itself, or has none, has no place in a run.
         cut = 0
     return len(record.time) + margin - cut if cut <= margin else None
 
 
-def _beyond_whole_turns(record: Measurement) -> float:
+def _time_to_full_turn(record: Measurement) -> float:
     """Time [s] from the end of a record to the end of a whole turn of what it is a part of."""
     turn = float(record.turn or 0.0)
     # A whole turn but for rounding is one.
@@ -135,7 +135,7 @@ def check_window(problem: Problem, record: Measurement) -> None:
     """Raises `ValueError` with a sentence where a record ends within a turn at which no run of the
     problem shows as much."""
     if window_end(problem, record) is None:
-        end_time = record.time[-1] + _beyond_whole_turns(record)
+        end_time = record.time[-1] + _time_to_full_turn(record)
         raise ValueError(
             f"the record ends {record.cut_off:.6g} s before what it is a part of, within a turn, "
             f"and the problem's runs are too short to be compared there; end its part at a whole "
@@ -195,7 +195,7 @@ def cut_of(record: Measurement, sample: Sample) -> Cut:
     if record.turn is None:
         return Cut(0, 0)
     if isinstance(record.turn, str):
-        simulated = _shown_part(sample.problem, sample.signals[record.turn], record)
+        simulated = _matching_part(sample.problem, sample.signals[record.turn], record)
         angles = [record.signals[record.turn], *simulated]
         ends = [full_turns(angle) for angle in angles]
         turns = min(last - first for first, last in ends)
@@ -215,7 +215,7 @@ def cut_of(record: Measurement, sample: Sample) -> Cut:
     return Cut(turns, samples)
 
 
-def _shown_part(problem: Problem, signals: np.ndarray, record: Measurement) -> np.ndarray:
+def _matching_part(problem: Problem, signals: np.ndarray, record: Measurement) -> np.ndarray:
     """What of the runs stands beside the record: as many samples, at their end or before what was
     cut off the record."""
     end = window_end(problem, record)
@@ -249,7 +249,7 @@ def sensed(sample: Sample, record: Measurement, seed: int) -> dict[str, np.ndarr
         output = signal
         if name != record.turn:
             output = record.sensors[name].sensed(signal, record.rate, rng)
-        result[name] = _shown_part(sample.problem, output, record)
+        result[name] = _matching_part(sample.problem, output, record)
     return result
 
 

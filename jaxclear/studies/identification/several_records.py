@@ -65,7 +65,7 @@ def interval_of(estimates: Sequence[CredibleInterval]) -> CredibleInterval:
     return CredibleInterval(interval.value, interval.low, interval.high, deviation, *ends)
 
 
-def left_out(estimates: Sequence[CredibleInterval]) -> list[tuple[float, NextRecord]]:
+def leave_one_out(estimates: Sequence[CredibleInterval]) -> list[tuple[float, NextRecord]]:
     """For each record (three at least) its value, and what all others say of it: whether the
     records agree with what is told of the next one."""
     others = lambda i: [estimate for k, estimate in enumerate(estimates) if k != i]

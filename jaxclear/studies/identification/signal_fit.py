@@ -32,12 +32,12 @@ from jaxclear.studies.identification.posterior import (
 )
 
 # A noise is known to within this share of it: its power, and what is left of a record, to twice.
-NOISE_KNOWN = 0.2
+NOISE_TOLERANCE = 0.2
 # One right model in a thousand is refused.
 REFUSED = 1e-3
 # Of a signal whose noise is not known, shares of its deviation: no instrument leaves less than the
 # first, and beyond the last its mean would explain it better.
-LEAST_LEFT, MOST_LEFT = 1e-6, 1.1
+LEAST_MISFIT, MOST_MISFIT = 1e-6, 1.1
 # Shares below and above which half of the rest of 95 % lies.
 ENDS = (0.025, 0.975)
 # Places that the sampling of the posterior begins about.
@@ -136,7 +136,7 @@ def fit_signal(
     if refusal:
         return _refused(forward, record, best, refusal)
     sampled = _sampled(forward, record, candidates, misfits, draws, seed)
-    return _told(forward, record, best, misfits, sampled)
+    return _make_fit(forward, record, best, misfits, sampled)
 
 
 def correlation_time(residual: np.ndarray) -> float:
@@ -177,7 +177,7 @@ def _misfits(record: Record, best: Optimum) -> dict[str, Misfit]:
         chi2 = limit = np.nan
         if noise is not None:
             chi2 = square / noise**2
-            tolerance = (1.0 + NOISE_KNOWN) ** 2
+            tolerance = (1.0 + NOISE_TOLERANCE) ** 2
             limit = tolerance * float(scipy.stats.chi2.isf(REFUSED, count)) / count
         share = np.sqrt(square) / _size(record.signals[name])
         time = min(correlation_time(residual), float(count))
@@ -195,7 +195,7 @@ def _scale(record: Record, misfits: dict[str, Misfit]) -> np.ndarray:
     scales = []
     for name, signal in record.signals.items():
         misfit, noise = misfits[name], record.noise.get(name)
-        size = noise if noise is not None else max(misfit.size, 0.1 * LEAST_LEFT * _size(signal))
+        size = noise if noise is not None else max(misfit.size, 0.1 * LEAST_MISFIT * _size(signal))
         scales.append(np.full(len(signal), size * np.sqrt(misfit.time)))
     return np.concatenate(scales)
 
@@ -209,12 +209,12 @@ def _refusal(best: Optimum, misfits: dict[str, Misfit]) -> str:
                 f"{fit.chi2:.3g} times what its noise makes, where {fit.limit:.3g} is the most. "
                 'Another law may; how="statistics" asks less of it.'
             )
-        if np.isnan(fit.chi2) and fit.share < LEAST_LEFT:
+        if np.isnan(fit.chi2) and fit.share < LEAST_MISFIT:
             return (
                 f'the signal "{name}" is explained to {fit.share:.1g} of itself, as none is that '
                 "an instrument showed, so that what is left tells no noise; give its sensor one."
             )
-        if np.isnan(fit.chi2) and fit.share > MOST_LEFT:
+        if np.isnan(fit.chi2) and fit.share > MOST_MISFIT:
             return (
                 f'no values within the distributions explain the signal "{name}": what is left is '
                 f"{fit.share:.3g} times what it varies by, so that its mean explains it better. "
@@ -279,11 +279,11 @@ def _sampled(
     matrices = [np.linalg.inv(fit.information(scale)) for fit in optima]
     sample = importance_sampled(target, [fit.normal for fit in optima], matrices, draws, seed)
     values = np.asarray(inputs.values(sample.normal))
-    responses = dict(zip(names, sample.beside.T, strict=True))
+    responses = dict(zip(names, sample.extras.T, strict=True))
     return _Sample(sample, values, responses, len(values))
 
 
-def _told(
+def _make_fit(
     forward: Forward, record: Record, best: Optimum, misfits: dict[str, Misfit], sample: _Sample
 ) -> SignalFit:
     """Intervals of what was sampled."""

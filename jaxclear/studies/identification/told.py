@@ -44,7 +44,7 @@ DRAWS = 1024
 TOGETHER = 0.8
 
 
-def told_by_signals(
+def identify_by_signals(
     models: Mapping[str, Sequence[Problem]],
     records: Sequence[Measurement],
     draws: int,
@@ -70,7 +70,7 @@ def of_signals(problems: Mapping[str, Sequence[Problem]], study: BySignal, seed:
     records = len(next(iter(study.fits.values())))
     runs = sum(fit.runs for fits in study.fits.values() for fit in fits)
     how = "by the signals themselves" + (f" of {records} records" if records >= FEWEST else "")
-    first = study.kept.models[0] if study.kept.models else next(iter(problems))
+    first = study.choice.models[0] if study.choice.models else next(iter(problems))
     problem: Any = problems[first][0]
     if study.refusal:
         prior = [unknown_of(problem, name, NOTHING) for name in problem.names]
@@ -78,7 +78,7 @@ def of_signals(problems: Mapping[str, Sequence[Problem]], study: BySignal, seed:
         values = [prior_quantiles(problem, n, shares[:, i]) for i, n in enumerate(problem.names)]
         none = np.stack(values, axis=1)
         return Identified(problem, tuple(prior), none, runs, 0, how, refusal=study.refusal)
-    intervals = study.own.get(first, {})
+    intervals = study.by_model.get(first, {})
     unknowns = [
         _unknown(problem, name, study.unknowns.get(name) or intervals[name])
         for name in problem.names
@@ -113,7 +113,7 @@ def _row(name: str, unit: str, interval: CredibleInterval) -> Unknown:
 
 def _values(problem: Problem, study: BySignal, rng: np.random.Generator) -> np.ndarray:
     """Draws (draws, unknowns) of a record yet to come, from all kept models alike."""
-    names, models = problem.names, study.kept.models
+    names, models = problem.names, study.choice.models
     of_model = {}
     for model in models:
         fits = study.fits[model]
@@ -174,16 +174,16 @@ def _misfits(study: BySignal, first: str) -> list[str]:
 def _models(study: BySignal) -> list[str]:
     """Which models remain, and what speaks against others."""
     text = []
-    if len(study.kept.models) > 1:
-        names = ", ".join(f'"{name}"' for name in study.kept.models)
+    if len(study.choice.models) > 1:
+        names = ", ".join(f'"{name}"' for name in study.choice.models)
         text.append(f"The records do not speak against any of {names}: intervals hold all of them.")
-    return text + [f'"{name}" is left out: {why}' for name, why in study.kept.against.items()]
+    return text + [f'"{name}" is left out: {why}' for name, why in study.choice.against.items()]
 
 
 def _rest(study: BySignal, first: str, problems: Any) -> list[str]:
     """What only other models than the nearest have."""
     sentences = []
-    for model, intervals in study.own.items():
+    for model, intervals in study.by_model.items():
         if model == first:
             continue
         for name, interval in intervals.items():
@@ -205,7 +205,7 @@ def _together(unknowns: Sequence[Unknown], fit: SignalFit) -> list[str]:
 
 def _drift(study: BySignal) -> list[str]:
     """How records differ beside what each tells of itself."""
-    spreads = study.between[study.kept.models[0]]
+    spreads = study.between[study.choice.models[0]]
     names = [name for name, spread in spreads.items() if spread.between > spread.within]
     text = "Intervals are those of the next record, by Student's t of the differences between them"
     if not names:

@@ -59,19 +59,20 @@ MOST_CYCLES = 2.0**53
 
 
 class Cycle(eqx.Module):
-    """What is kept of a cycle: the motion at its `end`, by joint and surface the depth [m] and the
-    volume [m3] that `wore` and `lost`, the depth that `wore_by_fourths` of its saving times alone,
-    the `losses` from one saving time to the next, the problem's `responses`, how far its two ends
-    are `apart`, how its run ended (`outcome`) and when [s], and its `checks`. Arrays on the host.
+    """What is kept of a cycle: the motion at its `end`, by joint and surface the worn
+    depth [m] (`wore`) and the worn `volumes` [m3], the depth of a fourth of its saving times alone
+    (`wore_by_fourths`), the `losses` from one saving time to the next, the problem's `responses`,
+    the relative `changes` between its two ends, how its run ended (`outcome`) and when [s], and its
+    `checks`. Arrays on the host.
     """
 
     end: SavedMotion
     wore: Worn
-    lost: dict[str, dict[str, Array]]
+    volumes: dict[str, dict[str, Array]]
     wore_by_fourths: Worn
     losses: Losses
     responses: dict[str, Array]
-    apart: dict[str, Array]
+    changes: dict[str, Array]
     outcome: Int[Array, ""]
     ended: Float[Array, ""]
     checks: Checks
@@ -79,12 +80,12 @@ class Cycle(eqx.Module):
     @property
     def distance(self) -> float:
         """How far its ends are apart [1], at the worst place; `nan` where its run failed."""
-        return float(np.max(list(self.apart.values()))) if self.apart else 0.0
+        return float(np.max(list(self.changes.values()))) if self.changes else 0.0
 
     @property
     def worst(self) -> str:
         """Where its ends are furthest apart."""
-        return max(self.apart, key=lambda name: float(self.apart[name])) if self.apart else ""
+        return max(self.changes, key=lambda name: float(self.changes[name])) if self.changes else ""
 
     @property
     def fault(self) -> str:
@@ -98,7 +99,7 @@ class Cycle(eqx.Module):
         return ""
 
 
-class Asked(eqx.Module):
+class Request(eqx.Module):
     """What a cycle needs of its problem: neither its variables nor its own start, so that one
     program serves all of these. `times` [s] count from its beginning."""
 
@@ -108,16 +109,16 @@ class Asked(eqx.Module):
     times: Float[Array, " saves"]
 
 
-def asked_of(problem: Problem, values: Any) -> Asked:
+def cycle_request(problem: Problem, values: Any) -> Request:
     """What a cycle needs, with the problem's variables at these values."""
     times = problem.shares * problem.duration
-    return Asked(
+    return Request(
         ungiven(problem.seen(problem.setting(values))), problem.integrator, problem.response, times
     )
 
 
 @eqx.filter_jit
-def compiled_cycle(request: Asked, begin: SavedMotion, worn: Worn) -> tuple[Cycle, Trajectory]:
+def compiled_cycle(request: Request, begin: SavedMotion, worn: Worn) -> tuple[Cycle, Trajectory]:
     """A cycle and its run."""
     times, past = begin.time + request.times, Past(worn, begin.remembered)
     motion = begin.coordinates, begin.speeds
@@ -134,7 +135,7 @@ def compiled_cycle(request: Asked, begin: SavedMotion, worn: Worn) -> tuple[Cycl
         jax.tree.map(lambda after, before: after - before, worn_by(system, worn, rare), worn),
         losses_between(layout, trajectory.states),
         {name: jnp.asarray(f(trajectory), float) for name, f in request.response.items()},
-        apart(trajectory.history),
+        relative_changes(trajectory.history),
         trajectory.outcome,
         trajectory.ended,
         trajectory.invariants,
@@ -142,7 +143,7 @@ def compiled_cycle(request: Asked, begin: SavedMotion, worn: Worn) -> tuple[Cycl
     return result, trajectory
 
 
-def cycle(request: Asked, begin: SavedMotion, worn: Worn) -> tuple[Cycle, Trajectory]:
+def cycle(request: Request, begin: SavedMotion, worn: Worn) -> tuple[Cycle, Trajectory]:
     """A cycle simulated, and its run."""
     with stoppable():
         result, trajectory = jax.block_until_ready(compiled_cycle(request, begin, worn))
@@ -152,7 +153,7 @@ def cycle(request: Asked, begin: SavedMotion, worn: Worn) -> tuple[Cycle, Trajec
 
 
 @eqx.filter_jit
-def worn_by_cycles(request: Asked, worn: Worn, losses: Losses, lengths: Any, parts: Any) -> Worn:
+def worn_by_cycles(request: Request, worn: Worn, losses: Losses, lengths: Any, parts: Any) -> Worn:
     """Depth maps after so many (`lengths`) of each of some cycles, whose `losses` have an axis of
     cycles in front, in so many `parts`, the shorter the nearer they are to the end: of the former
     ones walls forget. In each part the cycles go by in their order and backwards, from another
@@ -180,7 +181,7 @@ def worn_by_cycles(request: Asked, worn: Worn, losses: Losses, lengths: Any, par
     return jax.lax.fori_loop(0, 2 * cycles * parts, put_on, worn)
 
 
-def kind_of_cycle(request: Asked, begin: SavedMotion, worn: Worn) -> Cycle:
+def kind_of_cycle(request: Request, begin: SavedMotion, worn: Worn) -> Cycle:
     """A cycle with shapes in place of numbers; nothing is simulated."""
     return eqx.filter_eval_shape(compiled_cycle, request, begin, worn)[0]
 
@@ -287,7 +288,7 @@ def _worse(one: Checks, other: Checks) -> Checks:
     return Checks.of(figures)
 
 
-def apart(history: StateHistory) -> dict[str, Float[Array, ""]]:
+def relative_changes(history: StateHistory) -> dict[str, Float[Array, ""]]:
     """How far the last saved state is from the first, by what it is of: places of bodies in longest
     arms of the mechanism, attitudes [rad], velocities in the largest in between (a spin counts as
     the speed of a longest arm that turns so), journals in clearances, angles that wind up springs

@@ -120,7 +120,7 @@ def _of_variable(
             other = _along(life, moved, most)
         except (SimulationError, ValueError) as reason:
             return _none(unit, f"The {what} has no derivative by {name} here: {reason}")
-        length = _told(other, quantity, limit)
+        length = _length_and_noise(other, quantity, limit)
         if other.ended or not np.isfinite(length[0]):
             why = other.ended or f"moved by {move * width:.3g} it is not reached."
             return _none(unit, f"The {what} has no derivative by {name} here: {why}")
@@ -151,7 +151,7 @@ def _along(life: WearLife, values: Any, most: int) -> WearLife:
     return lived(rates, life.asked, life.accuracy, None, life.lengths)
 
 
-def _told(life: WearLife, quantity: str, limit: float | None) -> tuple[float, float]:
+def _length_and_noise(life: WearLife, quantity: str, limit: float | None) -> tuple[float, float]:
     """(what is differentiated, what noise leaves of it as a standard deviation)."""
     at = float(life.cycles[-1])
     value = life.at_end(quantity)

@@ -35,16 +35,16 @@ from jaxclear.studies.experiment import (
     derived,
 )
 from jaxclear.studies.life.cycle import (
-    asked_of,
     check_cycle,
     check_cycles,
+    cycle_request,
     first_state,
     kind_of_cycle,
 )
 from jaxclear.studies.life.rates import Rates
 from jaxclear.studies.life.result import CONFIDENCE, DEPTH, VOLUME, WearLife
 from jaxclear.studies.life.settling import Patience
-from jaxclear.studies.life.wear_life import SETTLED, check_asked, lived
+from jaxclear.studies.life.wear_life import SETTLED, check_wear_problem, lived
 from jaxclear.studies.problem import Problem
 from jaxclear.studies.responses import answer, by_name, check_responses
 
@@ -202,7 +202,7 @@ class LifeExperiment(AbstractExperiment):
         self.cycles = None if cycles is None else float(cycles)
         self.accuracy, self.most = float(accuracy), most
         self.response_names = tuple(response)
-        for function in self._own().values():
+        for function in self._life_responses().values():
             function.check(self._quantities())
         others = [name for name in self.response_names if not self._decides(name)]
         if self.cycles is None and others:
@@ -218,7 +218,7 @@ class LifeExperiment(AbstractExperiment):
     def life(self, values: Any) -> WearLife:
         """The life of one set of values. Raises `SimulationError` where it has no first cycle, and
         `ValueError` for values that make no machine."""
-        deciding = [response for response in self._own().values() if response.decides_length()]
+        deciding = [f for f in self._life_responses().values() if f.decides_length()]
         if self.cycles is not None and len(deciding) < len(self.response):
             return self._lived(values, self.cycles)
         longest = np.inf if self.cycles is None else self.cycles
@@ -226,7 +226,7 @@ class LifeExperiment(AbstractExperiment):
         cycles, most = min(1.0, longest), np.inf
         life = self._lived(values, cycles)
         for tried in range(TRIES):
-            aheads = lengths = [response.ahead(life) for response in deciding]
+            aheads = lengths = [f.ahead(life) for f in deciding]
             if self.cycles is None:
                 # A limit that is never reached keeps no other from being reached.
                 aheads = [length for length in aheads if cycles + length < most]
@@ -287,7 +287,7 @@ class LifeExperiment(AbstractExperiment):
         }
         return Description(
             "LifeProblem",
-            {name: self._known_of(name) for name in self.response_names},
+            {name: self._response_info(name) for name in self.response_names},
             endings,
             remark=self.problem.description.remark,
             derivative=(
@@ -296,8 +296,8 @@ class LifeExperiment(AbstractExperiment):
             ),
         )
 
-    def _known_of(self, name: str) -> ResponseInfo:
-        response = self._own().get(name)
+    def _response_info(self, name: str) -> ResponseInfo:
+        response = self._life_responses().get(name)
         if response is None:
             return ResponseInfo()
         unit, parts = response.unit_among(self._quantities()), response.depends_on(self.problem)
@@ -315,14 +315,14 @@ class LifeExperiment(AbstractExperiment):
         settings = {f"{name} of lives": getattr(self, what) for name, what in keys.items()}
         return self.problem.experiment.parts() | settings
 
-    def _own(self) -> dict[str, AbstractLifeResponse]:
+    def _life_responses(self) -> dict[str, AbstractLifeResponse]:
         """Responses that are of this package's own kind."""
         items = self.response.items()
         return {name: f for name, f in items if isinstance(f, AbstractLifeResponse)}
 
     def _decides(self, response: str) -> bool:
         """Whether a response says by itself how long a life is."""
-        declared = self._own().get(response)
+        declared = self._life_responses().get(response)
         return declared is not None and declared.decides_length()
 
     def _quantities(self) -> dict[str, str]:
@@ -355,7 +355,7 @@ class LifeExperiment(AbstractExperiment):
         """A sample without a life, of the same shape as others."""
         nothing: dict[str, Any] = dict.fromkeys(self.response_names, np.asarray(np.nan))
         nominal = self.problem.nominal()
-        request, start = asked_of(self.problem, nominal), first_state(self.problem, nominal)
+        request, start = cycle_request(self.problem, nominal), first_state(self.problem, nominal)
         checks: Checks = kind_of_cycle(request, *start).checks
         none = jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), checks)
         how: Any = np.asarray(int(outcome))
@@ -394,7 +394,7 @@ def LifeProblem(
         ValueError: with a sentence for what cannot be asked.
     """
     check_cycle("the problem of a LifeProblem", problem)
-    check_asked(problem)
+    check_wear_problem(problem)
     if cycles is not None:
         check_cycles("a LifeProblem", cycles)
     check_number("accuracy of a LifeProblem", accuracy, above=0)

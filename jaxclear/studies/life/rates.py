@@ -22,8 +22,8 @@ from jaxclear.results.state_history import SavedMotion
 from jaxclear.simulation.wear import Worn
 from jaxclear.studies.life.cycle import (
     Cycle,
-    asked_of,
     cycle,
+    cycle_request,
     first_state,
     kind_of_cycle,
     worn_by_cycles,
@@ -47,7 +47,7 @@ class Rates:
 
     def __init__(self, problem: Problem, values: Any, patience: Patience):
         self.problem, self.patience, self.store = problem, patience, CURRENT.get()
-        self.asked = asked_of(problem, values)
+        self.request = cycle_request(problem, values)
         self.motion, self.worn = first_state(problem, values)
         depth, self.unflat = flattened(self.worn)
         self.cells = _cells(problem, self.worn)
@@ -62,7 +62,7 @@ class Rates:
         self.kind: Any = None
         if self.store is not None:
             self.question = compute_address(in_texts(problem), np.asarray(values))
-            self.kind = kind_of_cycle(self.asked, self.motion, self.worn)
+            self.kind = kind_of_cycle(self.request, self.motion, self.worn)
 
     def evaluate(self, row: np.ndarray, set_down: bool = False) -> Rate:
         """What a cycle wears on surfaces of these depths; not the one in which the machine is
@@ -79,8 +79,8 @@ class Rates:
             self.places.clear()
         self.places.append(Place(depth, result.last.end))
         self.settlings.append(result)
-        wear = self._row(result.wear, result.lost)
-        return Rate(wear, self._row(result.noise, result.noise_of_lost), len(result.cycles), result)
+        wear = self._row(result.wear, result.volumes)
+        return Rate(wear, self._row(result.noise, result.volume_noise), len(result.cycles), result)
 
     def _refuse_worn_through(self, depth: np.ndarray) -> None:
         """Raises `CycleFailed` where nothing is left of a surface of this depth."""
@@ -107,7 +107,7 @@ class Rates:
         lengths = np.array([length for length, _ in cycles])
         stacked = jax.tree.map(lambda *rows: np.stack(rows), *(loss for _, loss in cycles))
         arguments = self.unflat(row[: self.count]), stacked, lengths, np.asarray(parts)
-        worn = worn_by_cycles(self.asked, *arguments)
+        worn = worn_by_cycles(self.request, *arguments)
         means: Any = sum(length * self.cells.means(rate.wear) for length, rate in losses)
         return np.concatenate([flattened(worn)[0], self.cells.means(row) + means])
 
@@ -117,13 +117,13 @@ class Rates:
         taken = rate.settled.taken
         if rate.settled.periodic or len(taken) < 2:
             return None
-        middle, losses = len(taken) // 2, rate.settled.lost
+        middle, losses = len(taken) // 2, rate.settled.volumes
         former, latter = _as_much(taken[:middle], losses), _as_much(taken[middle:], losses)
         return rate._replace(settled=former), rate._replace(settled=latter)
 
     def _row(self, depths: Worn, volumes: Worn) -> np.ndarray:
         """Depths of all cells, and behind them those of each surface as its volume has it."""
-        return np.concatenate([flattened(depths)[0], flattened(volumes)[0] / self.cells.whole])
+        return np.concatenate([flattened(depths)[0], flattened(volumes)[0] / self.cells.full_areas])
 
     def checks(self) -> Checks:
         """The worst of every figure over all cycles that were taken as the motion. How wide scars
@@ -140,7 +140,7 @@ class Rates:
         store = self.store
 
         def compute() -> Cycle:
-            result, self.last_run = cycle(self.asked, motion, worn)
+            result, self.last_run = cycle(self.request, motion, worn)
             if store is not None:
                 store.write(address, as_arrays(result))
             return result
@@ -169,7 +169,7 @@ def _as_much(half: Sequence[Cycle], losses_now: Worn) -> Half:
     for one in half:
         losses = dict(one.losses)
         for (joint, surface), (volumes, places) in one.losses.items():
-            mean = np.mean([float(each.lost[joint][surface]) for each in half])
+            mean = np.mean([float(each.volumes[joint][surface]) for each in half])
             share = losses_now[joint][surface] / mean if mean > 0 else 1.0
             losses[joint, surface] = share * volumes, places
         scaled.append(dataclasses.replace(one, losses=losses))

@@ -223,7 +223,7 @@ class WearLife(AbstractAnswer):
         if kind == DEPTH:
             readers = [(self.cells.surfaces[i], self._deepest(*places[i])) for i in indices]
             return lambda at: max(float(read(row(at)[part])) for part, read in readers)
-        areas = self.cells.whole[indices]
+        areas = self.cells.full_areas[indices]
         return lambda at: float(np.dot(areas, self.cells.means(row(at))[indices]))
 
     def _deepest(self, joint: str, surface: str) -> Callable[[np.ndarray], Any]:

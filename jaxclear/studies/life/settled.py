@@ -19,9 +19,9 @@ from jaxclear.studies.answer import AbstractAnswer, Column, Stated, with_unit
 from jaxclear.studies.life.cycle import (
     as_problem,
     as_state,
-    asked_of,
     check_period,
     cycle,
+    cycle_request,
     first_state,
     restless,
     worst_of,
@@ -117,9 +117,9 @@ class Settled(AbstractAnswer):
             "most": Column(over, each(lambda one: one.worst)),
             "taken": Column(over, [number > first for number in every]),
         }
-        worn = [(j, s) for one in every.values() for j, names in one.lost.items() for s in names]
+        worn = [(j, s) for one in every.values() for j, names in one.volumes.items() for s in names]
         for joint, surface in dict.fromkeys(worn):
-            volumes = each(lambda one, j=joint, s=surface: float(one.lost[j][s]))
+            volumes = each(lambda one, j=joint, s=surface: float(one.volumes[j][s]))
             name = f"{joint} {surface}"
             columns[name] = Column(over, volumes, "m^3", label=with_unit(name, "m^3"))
         for name in self.problem.response_names:
@@ -171,7 +171,7 @@ def settled(
     check_flags("settled", progress_bar=progress_bar, throw=throw)
     values = problem.nominal()
     begin, worn = first_state(problem, values)
-    needed = asked_of(problem, values)
+    needed = cycle_request(problem, values)
     check_period("settled", problem, float(begin.time), cycles)
     runs: list[Trajectory] = []
 

@@ -70,14 +70,14 @@ class Settling(NamedTuple):
         )
 
     @property
-    def lost(self) -> Worn:
+    def volumes(self) -> Worn:
         """Volume [m3] that a cycle takes, by joint and surface."""
-        return _means([c.lost for c in self.taken])
+        return _means([c.volumes for c in self.taken])
 
     @property
-    def noise_of_lost(self) -> Worn:
-        """Standard error of `lost` [m3]."""
-        return self._errors([c.lost for c in self.taken])
+    def volume_noise(self) -> Worn:
+        """Standard error of `volumes` [m3]."""
+        return self._errors([c.volumes for c in self.taken])
 
     def _errors(self, of_cycles: list[Worn]) -> Worn:
         """Standard errors of means over the cycles taken, which are alike as their volumes are."""
@@ -87,7 +87,7 @@ class Settling(NamedTuple):
     @property
     def relative_noise(self) -> float:
         """Standard error of the volume that a cycle takes beside it, of the worst surface."""
-        shares = jax.tree.map(lambda e, v: e / max(v, TINY), self.noise_of_lost, self.lost)
+        shares = jax.tree.map(lambda e, v: e / max(v, TINY), self.volume_noise, self.volumes)
         return float(max(jax.tree.leaves(shares), default=0.0))
 
     def responses(self) -> dict[str, tuple[float, float]]:
@@ -106,7 +106,7 @@ def _means(of_cycles: list[Worn]) -> Worn:
 
 def total(cycle: Cycle) -> float:
     """Volume [m3] lost in a cycle by all surfaces."""
-    return float(sum(jax.tree.leaves(cycle.lost)))
+    return float(sum(jax.tree.leaves(cycle.volumes)))
 
 
 def standard_error(values: np.ndarray) -> np.ndarray:

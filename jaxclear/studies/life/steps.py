@@ -41,7 +41,7 @@ OF_CUBE = OF_THIRD_ORDER / 48.0
 SMOOTH = 1 / 16
 OF_SCATTER = float(np.linalg.norm(WEIGHTS) / np.linalg.norm(ERRORS))
 # Once steps were found not to help, errors up to so many times the one found are told, not fought.
-TOLD = 2.0
+ACCEPTED_ERROR_RATIO = 2.0
 # A step aims at this share of the error allowed, and is at most so many times the one before.
 SAFETY, GROWTH, LEAST = 0.9, 5.0, 0.1
 # A step is at most this share of one that was taken back, which grows so many times a step.
@@ -58,7 +58,7 @@ MOST_FAILURES = 6
 PARTS, MOST_PARTS, OF_TOLERANCE = 8, 64, 0.1
 ORDERS = np.sqrt(2.0), 4.0
 # Where a step is looked at on its way: more often where a new wall wears fast.
-ON_THE_WAY = (4**-4, 4**-3, 4**-2, 4**-1, 9 / 16)
+FRACTIONS = (4**-4, 4**-3, 4**-2, 4**-1, 9 / 16)
 # A surface that wears less than this share of the one that wears most is judged beside that, and a
 # step that wears less than this share of what is worn so far.
 NEGLIGIBLE = 0.01
@@ -97,7 +97,7 @@ class Cells(NamedTuple):
     areas: np.ndarray
 
     @property
-    def whole(self) -> np.ndarray:
+    def full_areas(self) -> np.ndarray:
         """Area [m2] of each surface."""
         return np.array([self.areas[surface].sum() for surface in self.surfaces])
 
@@ -108,7 +108,7 @@ class Cells(NamedTuple):
     def sizes(self, row: np.ndarray) -> np.ndarray:
         """Root mean square over the cells of each surface."""
         squares = self.areas * row[: len(self.areas)] ** 2
-        return np.sqrt([squares[surface].sum() for surface in self.surfaces] / self.whole)
+        return np.sqrt([squares[surface].sum() for surface in self.surfaces] / self.full_areas)
 
     def shares(self, errors: np.ndarray, of: np.ndarray) -> np.ndarray:
         """Errors of each surface as shares of something else of it."""
@@ -245,7 +245,7 @@ def live(machine: Machine, start: Node, cycles: float, tolerance: float, first: 
             machine.hear(length / cycles)
             ceiling *= WIDENS
             if error > tolerance:
-                scatter, ceiling = max(scatter, TOLD * error), cycles
+                scatter, ceiling = max(scatter, ACCEPTED_ERROR_RATIO * error), cycles
                 factor = max(1.0, refused[0] / length if refused else 1.0)
             refused = None
         length *= float(np.clip(factor, LEAST, GROWTH))
@@ -432,7 +432,7 @@ def _after(
         noise = np.copysign(np.hypot(change, noise), change)
     spread = [length * cells.means(rate.noise) for length, rate in losses]
     variance = now.variance + np.sum(np.square(spread), axis=0)
-    paths = [[(share * length, rate) for length, rate in losses] for share in ON_THE_WAY]
+    paths = [[(share * length, rate) for length, rate in losses] for share in FRACTIONS]
     return Node(
         now.cycles + cycles,
         depth,

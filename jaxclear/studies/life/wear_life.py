@@ -97,7 +97,7 @@ def wear_life(
         check_number("jump of wear_life", jump, at_least=1)
     check_count("most of wear_life", most)
     check_flags("wear_life", progress_bar=progress_bar, verify=verify)
-    check_asked(problem)
+    check_wear_problem(problem)
     with open_store(store, "a wear life", problem), progress.bar(progress_bar, "wear life"):
         rates = Rates(problem, problem.nominal(), Patience(SETTLED, accuracy, most))
         life = lived(rates, float(cycles), float(accuracy), jump)
@@ -167,7 +167,7 @@ def _smallest_clearance(mechanism: Mechanism) -> float:
     return min((float(size) for size in clearances if size is not None), default=np.inf)
 
 
-def check_asked(problem: Problem) -> None:
+def check_wear_problem(problem: Problem) -> None:
     """Raises `ValueError` with a sentence for a problem without a life."""
     _check_wears(problem)
     _check_names(problem)
@@ -312,7 +312,7 @@ def wear_lives(
     check_number("accuracy of wear_lives", accuracy, above=0)
     check_count("most of wear_lives", most)
     check_flags("wear_lives", progress_bar=progress_bar)
-    check_asked(problem)
+    check_wear_problem(problem)
     values = draw(problem, samples, seed)
     lives: list[WearLife | None] = []
     failed: dict[int, str] = {}

@@ -30,7 +30,7 @@ FIRST_STEPS = 3
 # Nothing is looked for further out [deviations]: it would happen once in 1e15 parts.
 FURTHEST = 8.0
 # Points this far apart are two [deviations].
-APART = 0.5
+LEAST_DISTANCE = 0.5
 # A further point that is this much rarer than all is not worth another search.
 NEGLIGIBLE = 1e-3
 # Radius and steepness of a bulge, in shares of beta.
@@ -102,7 +102,7 @@ def _of_cut(model, cut, variables, rng, hopeless) -> list[DesignPoint]:
     # Not from the middle itself, where symmetric limits have no slope or lead to a saddle.
     radii = [OFF_MIDDLE, *[START_RADIUS] * (STARTS - 1)]
     for start in np.asarray(radii)[:, None] * directions:
-        first = _found(model, cut, start)
+        first = _find_point(model, cut, start)
         if first is not None and (first.beta > 0) == safe:
             points.append(first)
             break
@@ -118,7 +118,7 @@ def _of_cut(model, cut, variables, rng, hopeless) -> list[DesignPoint]:
         for start in further:
             where = _search(model, cut, start, bulges, STEPS_HIDDEN)
             # The foot of a bulge is no design point: from there the search goes on without.
-            point = None if where is None else _found(model, cut, where)
+            point = None if where is None else _find_point(model, cut, where)
             if point is not None and point.beta > 0 and all(_new(point, other) for other in points):
                 points.append(point)
                 break
@@ -135,7 +135,7 @@ def _plane(model, cut, point: DesignPoint, direction: np.ndarray) -> bool:
     no other point."""
     gradients = -point.directions * point.slopes[:, None]
     for at in (-point.normal, START_RADIUS * direction):
-        margins, slopes = _seen(model, cut, at, [])
+        margins, slopes = _evaluate(model, cut, at, [])
         margins_at_point = margins + gradients @ (point.normal - at)
         flat = np.allclose(slopes, gradients, rtol=0, atol=FLAT * point.slopes.max())
         if not flat or not np.all(abs(margins_at_point) < NEAR * point.slopes):
@@ -144,15 +144,15 @@ def _plane(model, cut, point: DesignPoint, direction: np.ndarray) -> bool:
 
 
 def _new(point: DesignPoint, other: DesignPoint) -> bool:
-    return bool(np.linalg.norm(point.normal - other.normal) > APART)
+    return bool(np.linalg.norm(point.normal - other.normal) > LEAST_DISTANCE)
 
 
-def _found(model, cut, start) -> DesignPoint | None:
+def _find_point(model, cut, start) -> DesignPoint | None:
     """The design point that a search from `start` (variables,) leads to."""
     z = _search(model, cut, start, [], MOST_STEPS)
     if z is None or not np.linalg.norm(z) <= FURTHEST:
         return None
-    margins, slopes = _seen(model, cut, z, [])
+    margins, slopes = _evaluate(model, cut, z, [])
     sizes = np.linalg.norm(slopes, axis=1)
     if not np.isfinite(margins).all() or not np.isfinite(sizes).all() or sizes.min() == 0.0:
         return None
@@ -177,7 +177,7 @@ def _search(model, cut, start, bulges, steps) -> np.ndarray | None:
         if z.tobytes() not in cache:
             if len(cache) == steps:
                 raise StopIteration
-            cache[z.tobytes()] = _seen(model, cut, z, bulges)
+            cache[z.tobytes()] = _evaluate(model, cut, z, bulges)
         return cache[z.tobytes()]
 
     # Far from the limit slopes may be next to none: there it is taken for a plane.
@@ -213,7 +213,7 @@ def _search(model, cut, start, bulges, steps) -> np.ndarray | None:
     return result if np.isfinite(result).all() else None
 
 
-def _seen(model, cut, z, bulges):
+def _evaluate(model, cut, z, bulges):
     """Margins (limits of the cut,) and slopes (limits, variables), found points hidden."""
     margins, slopes = model.slopes(z[None])
     margins, slopes = margins[0, list(cut)], slopes[0][list(cut)]

@@ -14,7 +14,7 @@ import scipy
 
 from jaxclear.studies.limit_state import system_margin
 from jaxclear.studies.reliability.models import Probability, RunModel, SurfaceModel, refused
-from jaxclear.studies.surface.control_variate import Known, normal_blocks
+from jaxclear.studies.surface.control_variate import Mean, normal_blocks
 
 # Runs of one scrambling, scramblings before the first look, and added between looks.
 BLOCK, FIRST, MORE = 32, 8, 4
@@ -85,7 +85,7 @@ def importance(
     most."""
     cuts = model.limit.cut_sets()
     before, failed = model.runs, model.failed
-    exact = _own_probability(surface, proposal, cuts, seed) if surface is not None else None
+    exact = _surface_probability(surface, proposal, cuts, seed) if surface is not None else None
     means, within, counts, unknown = np.zeros(0), np.zeros(0), 0, 0.0
     while True:
         new = FIRST if not len(means) else MORE
@@ -116,7 +116,7 @@ def importance(
     return result._replace(runs=runs, failed=model.failed - failed, unknown=share)
 
 
-def _answer(means: np.ndarray, within: np.ndarray, exact: Known | None, counts: int) -> Probability:
+def _answer(means: np.ndarray, within: np.ndarray, exact: Mean | None, counts: int) -> Probability:
     """The answer so far: the mean of the blocks and its variation, by their spread or, where that
     is larger, by the spread within them (variances of means, (blocks,)): few blocks are like each
     other by chance, and sampling until they are would be biased. As if one failing sample more had
@@ -129,8 +129,8 @@ def _answer(means: np.ndarray, within: np.ndarray, exact: Known | None, counts: 
     return Probability(float(value), float(np.sqrt(variance) / value), blocks=len(means))
 
 
-def _own_probability(surface: SurfaceModel, proposal: Proposal, cuts, seed: int) -> Known:
+def _surface_probability(surface: SurfaceModel, proposal: Proposal, cuts, seed: int) -> Mean:
     drawn = normal_blocks(SURFACE_BLOCKS, SURFACE_POINTS, proposal.dimensions, (seed, 4))
     normal = proposal.drawn(drawn)
     fails = system_margin(surface.margins(normal), cuts) < 0
-    return Known.of(proposal.weights(normal) * fails, SURFACE_BLOCKS)
+    return Mean.of(proposal.weights(normal) * fails, SURFACE_BLOCKS)

@@ -15,7 +15,7 @@ import numpy as np
 
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_count, check_flags, check_methods, check_number, expect
-from jaxclear.studies.endless import check_told, endless_sentences
+from jaxclear.studies.endless import check_within_horizon, endless_sentences
 from jaxclear.studies.experiment import SampleResult
 from jaxclear.studies.limit_state import AbstractLimitState, check_limit, system_margin
 from jaxclear.studies.problem import Problem
@@ -313,7 +313,7 @@ def _checked(problem: Problem, limit: Any, methods: Any, surface: Any) -> tuple[
         )
     check_limit(limit, problem.response_names, "reliability")
     for part in limit.limits():
-        check_told(problem, part.response, part.threshold)
+        check_within_horizon(problem, part.response, part.threshold)
     if surface is not None:
         expect(surface, ResponseSurface, "surface of reliability", "what jaxclear.surface gives")
         differs = difference(surface.problem, problem)

@@ -156,7 +156,7 @@ class Reliability(AbstractAnswer):
                 )
         else:
             text += f" by {_named(self.method)}, whose error is not known: sample to know it"
-        parts = [f"{text}; {self.runs} runs in all.", *self._comparison(best), *self._lost(best)]
+        parts = [f"{text}; {self.runs} runs in all.", *self._comparison(best), *self._failure(best)]
         return " ".join([*parts, *self._refusals(), *self.notes, *self.warnings])
 
     def _shown(self):
@@ -188,7 +188,7 @@ class Reliability(AbstractAnswer):
                 )
         return sentences
 
-    def _lost(self, result: Probability) -> list[str]:
+    def _failure(self, result: Probability) -> list[str]:
         if not self.failed:
             return []
         text = f"{self.failed} runs did not reach their end"

@@ -233,7 +233,7 @@ class Reach:
             if not share > 0.0 and not rare > FAR and self.normal is not None:
                 runs = self.model.runs - before
                 far = f"{runs} runs down to parts as rare as {rare:.0e}"
-                self.sentence = self._told(self.normal, far)
+                self.sentence = self._nearest_text(self.normal, far)
         return self.sentence
 
     def _see(self, normal: np.ndarray, margins: np.ndarray) -> None:
@@ -244,7 +244,7 @@ class Reach:
         if system[least] < self.margin:
             self.normal, self.margin = normal[least], float(system[least])
 
-    def _told(self, normal: np.ndarray, far: str) -> str:
+    def _nearest_text(self, normal: np.ndarray, far: str) -> str:
         problem, limit = self.model.problem, self.model.limit
         values = np.asarray(problem.inputs.values(normal))
         units, responses = problem.units(), problem.evaluate(jnp.asarray(values)).responses

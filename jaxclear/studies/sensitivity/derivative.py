@@ -193,7 +193,7 @@ def confirmed(
         verdict = unsure if vague else f"Unconfirmed: only {order[0]} has an answer.{why}"
         return answer(best.value, best.error, order[0], verdict)
     middle, spread = _covering([estimates[name] for name in order])
-    if spread <= STEPS * max(abs(middle), size.whole):
+    if spread <= STEPS * max(abs(middle), size.value):
         names = " and ".join(order)
         return answer(middle, spread, names, f"Agreed by {names}.", trustworthy=True)
     return answer(middle, spread, "spread of methods", "The methods disagree.")
@@ -235,7 +235,7 @@ def _by_certainty(estimates: dict[str, Estimate], size: Size = Size()) -> list[s
     if not order:
         return []
     best = answers[order[0]]
-    largest = max(VAGUE * (abs(best.value) + best.error), size.whole / VAGUE, size.rounding)
+    largest = max(VAGUE * (abs(best.value) + best.error), size.value / VAGUE, size.rounding)
     # A zero, but for rounding, makes no other answer vague.
     least = ROUNDING * max(answers[name].error for name in order)
     return [name for name in order if largest <= least or answers[name].error <= largest]

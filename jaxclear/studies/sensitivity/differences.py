@@ -40,7 +40,7 @@ class Runs(NamedTuple):
     """Several runs of each of a sample's values, after each other: what was found, and the
     scramblings (samples,)."""
 
-    found: SampleResult
+    result: SampleResult
     group: np.ndarray
 
     def and_also(self, other: "Runs") -> "Runs":
@@ -49,22 +49,22 @@ class Runs(NamedTuple):
 
     def good(self) -> np.ndarray:
         """Whether all runs of a sample reached their end, (samples,)."""
-        reached = np.asarray(self.found.outcome) == Outcome.REACHED
+        reached = np.asarray(self.result.outcome) == Outcome.REACHED
         return np.all(reached.reshape(len(self.group), -1), axis=1)
 
     def responses(self, name: str) -> np.ndarray:
         """Of the good samples, by which run of each: (runs of each, samples)."""
-        rows = np.asarray(self.found.responses[name]).reshape(len(self.group), -1)
+        rows = np.asarray(self.result.responses[name]).reshape(len(self.group), -1)
         return rows[self.good()].T
 
     def answer(self, problem: Problem, one: Functional, estimate: Estimate) -> Estimate:
         """An estimate with the runs that it took, those that warn, and what it leaves out: samples
         of which some runs fail and others do not lie at an edge of what can be run, where slopes
         may be any."""
-        count, good = len(self.found.outcome), self.good()
+        count, good = len(self.result.outcome), self.good()
         among = np.repeat(good, count // len(self.group))
-        warned, warnings = concern(problem, one.response, self.found.checks, among)
-        reached = np.asarray(self.found.outcome) == Outcome.REACHED
+        warned, warnings = concern(problem, one.response, self.result.checks, among)
+        reached = np.asarray(self.result.outcome) == Outcome.REACHED
         edge = int(np.sum(reached.reshape(len(self.group), -1).any(axis=1) & ~good))
         if edge:
             out = f"{edge} of {len(good)} samples, which fail where they are moved, are left out"

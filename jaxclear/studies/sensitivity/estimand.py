@@ -23,7 +23,7 @@ from jaxclear.ground.arguments import check_name, check_number, expect
 from jaxclear.ground.numerics import safe_divide
 from jaxclear.ground.wording import described, listed
 from jaxclear.native.compiled import compiled_quickly
-from jaxclear.studies.endless import INSTEAD, check_told, finite_beside
+from jaxclear.studies.endless import INSTEAD, check_within_horizon, replace_infinite
 from jaxclear.studies.problem import Problem
 from jaxclear.studies.statistics.scrambled import ordinary_quantile, smooth_quantile
 
@@ -34,16 +34,16 @@ SCORES_ASIDE = 0.3
 # what methods agreed on, 72 % held with two samples beyond a limit, 43 % with one.
 FEWEST_DECIDING = 4
 # Numbers of samples are told in multiples of this, as many as there are scramblings.
-WHOLE = 16
+ROUND_TO = 16
 WORDS = ("mean", "standard deviation")
 KINDS = ("quantile", "above", "below")
 
 
 class Size(NamedTuple):
-    """How large a derivative may be, in its unit: `whole` where all scatter of the response were a
+    """How large a derivative may be, in its unit: `value` where all scatter of the response were a
     line of the variable, `rounding` what arithmetic leaves of zero."""
 
-    whole: float = 0.0
+    value: float = 0.0
     rounding: float = 0.0
 
 
@@ -111,7 +111,7 @@ class Functional(NamedTuple):
         text = f"only {deciding:.2g} of {count} samples decide it, and {FEWEST_DECIDING} should; "
         if not deciding:
             return f"{text}take more samples, or jaxclear.reliability for what is rare."
-        enough = -(-int(np.ceil(FEWEST_DECIDING * count / deciding)) // WHOLE) * WHOLE
+        enough = -(-int(np.ceil(FEWEST_DECIDING * count / deciding)) // ROUND_TO) * ROUND_TO
         return f"{text}take about {by}={enough}, or jaxclear.reliability for what is rare."
 
     def unbounded(self, *rows: np.ndarray) -> str:
@@ -128,7 +128,7 @@ class Functional(NamedTuple):
 
     def bounded(self, rows: np.ndarray) -> np.ndarray:
         """Responses with finite numbers in place of infinite ones, where that is no difference."""
-        return finite_beside(rows, self.number if self.kind in ("above", "below") else None)
+        return replace_infinite(rows, self.number if self.kind in ("above", "below") else None)
 
     def _around(self) -> np.ndarray:
         """Shares (2,) [1] a little aside of that of the quantile."""
@@ -202,7 +202,7 @@ def functionals(of: Any, problem: Problem) -> list[Functional]:
     result = [_functional(name, one) for name, kinds in of.items() for one in _several(kinds)]
     for one in result:
         if one.kind in ("above", "below"):
-            check_told(problem, one.response, one.number)
+            check_within_horizon(problem, one.response, one.number)
     return result
 
 

@@ -246,7 +246,7 @@ def regressions(
         warning = concern(problem, one.response, sample.checks, good)
         bias = abs(parts.mean()) * estimator.unknown
         answer = from_parts(parts, bias)
-        resid = estimator.left
+        resid = estimator.residuals
         answer = answer._replace(
             error=widened(
                 answer.error, joined.ratio * resid, resid[~joined.inside], len(resid), len(parts)
@@ -332,25 +332,25 @@ class Slope:
 
     Where parts are told apart (a limit, a quantile) and how dense they are there is read from the
     whole sample once: both jump as samples come and go. `unknown` [1] is what half of the 95 %
-    interval of the density leaves unknown of the derivative; `left` (samples,) is what each adds
-    beside the polynomial.
+    interval of the density leaves unknown of the derivative; `residuals` (samples,) is what each
+    adds beside the polynomial.
     """
 
     def __init__(self, one: Functional, joined: _Joined, basis, many: Many):
         self.one, self.joined, self.basis = one, joined, basis
         self.many, self.last = many, np.zeros(len(many.basis))
-        self.left = np.zeros(len(basis))
+        self.residuals = np.zeros(len(basis))
         responses, inner = joined.responses[joined.inside], basis[joined.inside]
         surface = fitted(inner, responses)
         larger = self._larger(surface, responses, inner)
         self.place, self.unknown = one.place(larger), one.unknown(larger)
-        self.whole = one.influence(larger)
+        self.full_influence = one.influence(larger)
 
     def of(self, mask: np.ndarray, ending: Ending | None) -> float:
         """From the samples `mask` (samples,)."""
         joined, inner = self.joined, mask & self.joined.inside
         y, basis = joined.responses[inner], self.basis[inner]
-        influence = self.one.influence(y) if self.place is None else self.whole
+        influence = self.one.influence(y) if self.place is None else self.full_influence
         step = self._step(y, basis)
         target, rows, ratio = (
             influence(joined.responses[mask]), step(self.basis[mask]), joined.ratio[mask],
@@ -359,7 +359,7 @@ class Slope:
         residuals = (target - rows @ theta) * joined.weight[mask]
         each = np.array([np.mean(step(b, d) @ theta) for b, d in zip(*self.many, strict=True)])
         if mask.all():
-            self.last, self.left = each - each.mean(), residuals
+            self.last, self.residuals = each - each.mean(), residuals
         total = each.mean() + np.average(residuals, weights=ratio)
         if ending is None:
             return total

@@ -42,7 +42,7 @@ from jaxclear.studies.sensitivity.regression import (
     runs_outside,
 )
 from jaxclear.studies.sensitivity.steps import error_by_steps
-from jaxclear.studies.store.result import GivenSample, given_sample
+from jaxclear.studies.store.result import GivenSample, sample_of
 from jaxclear.studies.store.store import stored
 
 METHODS = ("regression", "differences", "pathwise")
@@ -104,7 +104,7 @@ def sensitivity(
     all_directions = directions(problem, list(problem.names if variables is None else variables))
     estimands = functionals(of, problem)
     if isinstance(sample, GivenSample):
-        drawn = given_sample(problem, sample)
+        drawn = sample_of(problem, sample)
     else:
         drawn = monte_carlo(problem, sample, seed=seed, verify=verify, progress_bar=progress_bar)
     results: dict[Direction, dict] = {}
@@ -130,7 +130,7 @@ def sensitivity(
                 problem, direction, sampled(1), answers, estimands, progress_bar
             )
         results[direction] = {name: answers[name] for name in METHODS if name in answers}
-    return _met(results, estimands, drawn)
+    return _merge(results, estimands, drawn)
 
 
 def _confirming_differences(
@@ -162,7 +162,7 @@ def _confirming_differences(
     return answers
 
 
-def _met(every: dict[Direction, dict], goals: list[Functional], drawn: MonteCarlo) -> Sensitivity:
+def _merge(every: dict[Direction, dict], goals: list[Functional], drawn: MonteCarlo) -> Sensitivity:
     """One answer from the methods' answers, for each direction and statistic."""
     derivatives = {}
     for direction, answers in every.items():

@@ -32,7 +32,7 @@ def error_by_steps(
     replicas = sample.replicas
     if replicas is None:
         return None
-    values, finer = replicas.own[one.response], replicas.responses[one.response]
+    values, finer = replicas.coarse[one.response], replicas.responses[one.response]
     good = np.isfinite(values) & np.isfinite(finer)
     values, finer = values[good], finer[good]
     terms, mean_slopes = _terms(sample, direction)

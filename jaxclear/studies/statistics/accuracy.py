@@ -15,12 +15,14 @@ from jaxclear.ground.printing import with_text_repr
 from jaxclear.studies.statistics.scrambled import jackknifed, student
 
 # What is asked of each response by name, and whether it is a share of its root mean square.
-Asked = tuple[dict[str, float], bool]
+Goals = tuple[dict[str, float], bool]
 # Responses by name (samples,) of some samples, and their scramblings (samples,).
 Piece = tuple[dict[str, np.ndarray], np.ndarray]
 
 
-def asked_of(accuracy: Any, responses: tuple[str, ...], owner: str = "monte_carlo") -> Asked | None:
+def parse_accuracy(
+    accuracy: Any, responses: tuple[str, ...], owner: str = "monte_carlo"
+) -> Goals | None:
     """What a user asks of the means. Raises `ValueError` with a sentence."""
     if accuracy is None:
         return None
@@ -33,7 +35,7 @@ def asked_of(accuracy: Any, responses: tuple[str, ...], owner: str = "monte_carl
     return {name: float(value) for name, value in accuracy.items()}, False
 
 
-def told(request: Asked, pieces: Iterable[Piece]) -> dict[str, tuple[float, float]]:
+def missed_accuracies(request: Goals, pieces: Iterable[Piece]) -> dict[str, tuple[float, float]]:
     """(half of the 95 % interval, what was asked) of each mean that is not known well enough, of a
     sample that comes in pieces, one in memory at a time."""
     sums = {name: np.zeros((3, 0)) for name in request[0]}

@@ -40,7 +40,7 @@ from jaxclear.studies.statistics.sobol_indices import (
 from jaxclear.studies.store.batch import evaluate_all
 from jaxclear.studies.store.store import stored
 from jaxclear.studies.surface.response_surface import ResponseSurface
-from jaxclear.studies.warned import told
+from jaxclear.studies.warned import sentences_among
 
 SCRAMBLINGS = 16
 # All sets of so many variables are gone through; of more, orders drawn by chance, so many in all.
@@ -127,7 +127,7 @@ def shapley_effects(
         reached = np.asarray(result.outcome) == Outcome.REACHED
         responses = result.responses
         refuse_endless(problem, responses, "variance")
-        warnings = told(problem, result.checks, reached)
+        warnings = sentences_among(problem, result.checks, reached)
     else:
         points = np.asarray(surface.values)
         inside = jnp.clip(values, points.min(axis=0), points.max(axis=0))

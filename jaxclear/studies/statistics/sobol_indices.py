@@ -45,7 +45,7 @@ from jaxclear.studies.store.store import stored
 from jaxclear.studies.surface.fitting import HIGHEST
 from jaxclear.studies.surface.polynomials import Expansion, levels, orthonormal, powers, products
 from jaxclear.studies.surface.response_surface import ResponseSurface
-from jaxclear.studies.warned import told
+from jaxclear.studies.warned import sentences_among
 
 # Parts beyond the outermost of n independent runs are more than this over n once in 2000 samples.
 MOST_OUTSIDE = 10.0
@@ -147,7 +147,7 @@ def sobol_indices(
         for i, variable in enumerate(problem.variable_names):
             first[name, variable] = _share(numerators, i)
             total[name, variable] = _share(numerators, len(columns) - 2 + i)
-    warnings = told(problem, result.checks, reached.ravel())
+    warnings = sentences_among(problem, result.checks, reached.ravel())
     remarks = open_shares(problem, np.asarray(values)[np.tile(good, len(columns))], first, total)
     return SobolIndices(
         problem, first, total, len(values), int(np.sum(~good)), (*warnings, *remarks)
@@ -237,12 +237,12 @@ def _of_surface(surface: ResponseSurface) -> SobolIndices:
 class _Parts(NamedTuple):
     """What each scrambling says: numerators of all indices, second moment and mean about one place
     as columns (scramblings, 2 variables + 2): by runs alone (`plain`), with polynomials that go on
-    beyond the outermost runs (`spread`), and with such as stay there as they are (`held`); and how
-    many samples it has (scramblings,)."""
+    beyond the outermost runs (`spread`), and with such as stay there as they are (`clipped`); and
+    how many samples it has (scramblings,)."""
 
     plain: np.ndarray
     spread: np.ndarray
-    held: np.ndarray
+    clipped: np.ndarray
     samples: np.ndarray
 
 

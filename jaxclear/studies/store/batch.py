@@ -59,7 +59,7 @@ def evaluate_chunk(problem: Problem, values: Float[Array, "samples variables"]) 
 
 
 @eqx.filter_jit
-def asked_of_lapack(function, problem, values):
+def uses_lapack(function, problem, values):
     """What the function of a chunk gives, and whether its program calls LAPACK."""
     result = function(problem, values)
     return result, calls_lapack(*jax.tree.leaves(result))
@@ -152,10 +152,10 @@ class Program:
         with self._compiling:
             program = self._prepared.get(len(values))
             if program is None:
-                program = self._prepared[len(values)] = self._found(values, single_use)
+                program = self._prepared[len(values)] = self._prepare(values, single_use)
             return program
 
-    def _found(self, values: np.ndarray, single_use: bool) -> Prepared:
+    def _prepare(self, values: np.ndarray, single_use: bool) -> Prepared:
         # Compiled as a part of the program that is prepared.
         plain = getattr(self._function, "__wrapped__", self._function)
         program = prepared(_of_chunk, plain, self.problem, values)
@@ -163,7 +163,7 @@ class Program:
             return program
 
         def evaluated(problem, values):
-            function: Callable = asked_of_lapack
+            function: Callable = uses_lapack
             return function(self._function, problem, self._laid_out(values))
 
         # Compiled by a run of no length.

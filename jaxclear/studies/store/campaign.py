@@ -25,7 +25,7 @@ from jaxclear.studies.problem import Problem
 from jaxclear.studies.replicas import MOST_REPLICAS
 from jaxclear.studies.sampling import check_sampled, checked_scramblings, groups
 from jaxclear.studies.sequential import FIRST_SAMPLES, first_of, until_accurate
-from jaxclear.studies.statistics.accuracy import Piece, asked_of
+from jaxclear.studies.statistics.accuracy import Piece, parse_accuracy
 from jaxclear.studies.store.batch import RESPONSES, VALUES
 from jaxclear.studies.store.digest import in_texts
 from jaxclear.studies.store.recorded import in_json, of_json
@@ -100,7 +100,7 @@ def campaign(
         return _run_study(study, problem, folder, options, settings)
     samples, seed = 1024 if samples is None else samples, 0 if seed is None else seed
     plan = _plan(problem, samples, seed, settings)
-    accuracy = asked_of(settings.get("accuracy"), problem.response_names, "campaign")
+    accuracy = parse_accuracy(settings.get("accuracy"), problem.response_names, "campaign")
     checked = ("seed", "sampling", "scramblings")[: 2 + ("scramblings" in settings)]
     check_folder(folder)
     try:
@@ -109,7 +109,7 @@ def campaign(
             # The plan first: whatever ends the process from here on, the folder knows what was
             # asked of it.
             if accuracy is None:
-                stored = _with_room(stored, samples, samples, problem)
+                stored = _enlarge(stored, samples, samples, problem)
             if len(stored.finished()):
                 stored.warn_of_versions()
             run, short = _Run(work, stored, samples, progress_bar), ""
@@ -119,9 +119,9 @@ def campaign(
                 first = max(plan.samples, stored.plan.samples)
                 short = until_accurate(problem, first, samples, accuracy, run.grown)
             if verify:
-                _verify(run.kept, work)
-            run.kept.conclude()
-            return Campaign(run.kept, problem, short)
+                _verify(run.stored, work)
+            run.stored.conclude()
+            return Campaign(run.stored, problem, short)
     except KeyboardInterrupt:
         raise KeyboardInterrupt(_interrupted(folder)) from None
 
@@ -229,7 +229,7 @@ def _begin(
     return created
 
 
-def _with_room(stored: Samples, samples: int, most: int, problem: Problem) -> Samples:
+def _enlarge(stored: Samples, samples: int, most: int, problem: Problem) -> Samples:
     """The same with room for so many samples; for more, up to the `most`, where other processes
     have planned these."""
     if stored.plan.samples >= samples:
@@ -242,28 +242,28 @@ class _Run:
     make it larger."""
 
     def __init__(self, by: AbstractWork, stored: Samples, most: int, show_bar: bool):
-        self.by, self.kept, self.most, self.shown = by, stored, most, show_bar
+        self.by, self.stored, self.most, self.show_bar = by, stored, most, show_bar
 
     def grow(self, samples: int) -> None:
         """Has so many samples in the folder, and computes those that it lacks."""
-        self.kept = _with_room(self.kept, samples, self.most, self.by.problem)
-        plan = self.kept.plan
-        remaining = np.setdiff1d(np.arange(plan.chunks), self.kept.finished()).tolist()
-        if missing := self.kept.lost(remaining):
+        self.stored = _enlarge(self.stored, samples, self.most, self.by.problem)
+        plan = self.stored.plan
+        remaining = np.setdiff1d(np.arange(plan.chunks), self.stored.finished()).tolist()
+        if missing := self.stored.describe_missing(remaining):
             warn(missing)
         if remaining:
-            with _progress(self.shown, plan, remaining) as heard:
-                self.by.compute(self.kept, remaining, heard)
+            with _progress(self.show_bar, plan, remaining) as heard:
+                self.by.compute(self.stored, remaining, heard)
 
     def grown(self, samples: int) -> Iterator[Piece]:
         """Has so many samples in the folder, and reads all that are then there in pieces of some
         chunks: responses (samples,), and their scramblings."""
         self.grow(samples)
-        names, plan = self.by.problem.response_names, self.kept.plan
+        names, plan = self.by.problem.response_names, self.stored.plan
         size = max(READ // plan.chunk, 1) * plan.chunk
         for first in range(0, plan.samples, size):
             at = slice(first, min(first + size, plan.samples))
-            rows = self.kept.read(at, RESPONSES)[RESPONSES]
+            rows = self.stored.read(at, RESPONSES)[RESPONSES]
             group = groups(at.stop, plan.scramblings, at.start)
             yield {name: rows[:, i] for i, name in enumerate(names)}, group
 

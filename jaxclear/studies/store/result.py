@@ -86,7 +86,7 @@ class Campaign:
         """The finished samples as a Monte Carlo study, in memory; numbers of samples count them."""
         if not self._spans():
             raise self._empty()
-        parts = [self._samples.found(at) for at in self._spans()]
+        parts = [self._samples.result_of(at) for at in self._spans()]
         result = jax.tree.map(lambda *arrays: np.concatenate(arrays), *parts)
         values = np.concatenate([self._samples.read(at, VALUES)[VALUES] for at in self._spans()])
         return self._study(values, result)
@@ -199,7 +199,7 @@ class Campaign:
             check_name("response", name, self.problem.response_names, " in this study")
         columns, outcomes, beyond = [], [], []
         for at in self._spans():
-            result = self._samples.found(at)
+            result = self._samples.result_of(at)
             is_answered = answered(self.problem, result.responses)
             columns.append({n: np.where(is_answered, result.responses[n], np.nan) for n in names})
             outcomes.append(result.outcome.astype(np.int8))
@@ -241,7 +241,7 @@ def _as_figure(beyond: np.ndarray) -> Figure:
 GivenSample = MonteCarlo | Campaign
 
 
-def given_sample(problem: Problem, sample: GivenSample) -> MonteCarlo:
+def sample_of(problem: Problem, sample: GivenSample) -> MonteCarlo:
     """The sample that a study is given instead of drawing one, in memory. Raises `ValueError` with
     a sentence for one of another problem."""
     if isinstance(sample, Campaign):

@@ -40,7 +40,7 @@ BATCHES, OF_CAMPAIGN = 4, 64
 KIND = "a Monte Carlo campaign"
 FINER = "finer"
 # Up to how many samples all had been finished once.
-WHOLE = "whole"
+COMPLETE = "whole"
 
 
 class Plan(NamedTuple):
@@ -110,7 +110,7 @@ class Samples:
         drawn = [*self.plan[1:4], self.plan.chunk]
         self._drawn = compute_address(json.loads(description["problem"]), drawn)
         # Of the finished chunks that have been read, what computed them.
-        self._whole: dict[int, dict[str, str]] = {}
+        self._done: dict[int, dict[str, str]] = {}
 
     @classmethod
     def open(cls, folder: Any) -> "Samples":
@@ -142,7 +142,7 @@ class Samples:
         """The same as if no more than the most samples were planned."""
         fewer = self.plan._replace(samples=min(self.plan.samples, most))
         view = Samples(self.store, self.description | {"plan": fewer._asdict()})
-        view._whole = {n: v for n, v in self._whole.items() if self.plan.span(n) == fewer.span(n)}
+        view._done = {n: v for n, v in self._done.items() if self.plan.span(n) == fewer.span(n)}
         return view
 
     def extend(self, samples: int, usual: int) -> "Samples":
@@ -159,11 +159,11 @@ class Samples:
 
     def conclude(self) -> None:
         """Writes that all samples are finished, and tidies up."""
-        if self.description.get(WHOLE, 0) < (count := self.plan.samples):
+        if self.description.get(COMPLETE, 0) < (count := self.plan.samples):
 
             def change(saved: dict[str, Any] | None) -> dict[str, Any]:
                 saved = saved or self.description
-                return saved | {WHOLE: max(saved.get(WHOLE, 0), count)}
+                return saved | {COMPLETE: max(saved.get(COMPLETE, 0), count)}
 
             self.store.update(change)
         self.store.tidy()
@@ -180,16 +180,16 @@ class Samples:
 
     def finished(self) -> np.ndarray:
         """Numbers of the finished chunks, whose checksums are right."""
-        return np.array([n for n in range(self.plan.chunks) if self._is_whole(n)], int)
+        return np.array([n for n in range(self.plan.chunks) if self._is_complete(n)], int)
 
-    def _is_whole(self, number: int) -> bool:
-        if number not in self._whole and (arrays := self.chunk(number)) is not None:
-            self._whole[number] = arrays.about["versions"]
-        return number in self._whole
+    def _is_complete(self, number: int) -> bool:
+        if number not in self._done and (arrays := self.chunk(number)) is not None:
+            self._done[number] = arrays.about["versions"]
+        return number in self._done
 
-    def lost(self, remaining: list[int]) -> str:
+    def describe_missing(self, remaining: list[int]) -> str:
         """A sentence on those of the chunks that are left that were there before; "" for none."""
-        before = self.description.get(WHOLE, 0)
+        before = self.description.get(COMPLETE, 0)
         missing = [
             number
             for number in remaining
@@ -210,7 +210,7 @@ class Samples:
         result = dataclasses.replace(result, responses=reached)
         columns, about = pack(self.names, values, result)
         self.store.write(self.address(number), columns, about | {"versions": self._now})
-        self._whole[number] = self._now
+        self._done[number] = self._now
 
     @cached_property
     def _now(self) -> dict[str, str]:
@@ -246,7 +246,7 @@ class Samples:
             parts.append(columns)
         return {name: np.concatenate([part[name] for part in parts]) for name in names}
 
-    def found(self, at: slice) -> SampleResult:
+    def result_of(self, at: slice) -> SampleResult:
         """What was computed of some samples, as the problem gave it."""
         return unpack(self.names, self.figures, self.read(at))
 
@@ -268,11 +268,11 @@ class Samples:
         count = 0 if finer is None else len(finer.outcome)
         if finer is None or len(self.finished()) < -(-count // self.plan.chunk):
             return None
-        return together_with(self.names, self.found(slice(0, count)), finer, count)
+        return together_with(self.names, self.result_of(slice(0, count)), finer, count)
 
     def versions(self) -> tuple[dict[str, str], ...]:
         """Versions of the programs that computed finished chunks."""
-        versions = [self._whole[int(number)] for number in self.finished()]
+        versions = [self._done[int(number)] for number in self.finished()]
         return tuple({json.dumps(one, sort_keys=True): one for one in versions}.values())
 
     def warn_of_versions(self) -> None:

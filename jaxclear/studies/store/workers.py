@@ -47,7 +47,7 @@ from jaxclear.studies.store.store import STUDY, compute_address
 # Samples are drawn in blocks of whole chunks, about so many, because a small draw costs as much.
 DRAWN = 1 << 14
 # Blocks of chunks asked of the scheduler at a time, for each thread of the workers.
-ASKED_A_THREAD = 2
+BLOCKS_PER_THREAD = 2
 # [s] after which a worker answers, whatever is left of its block: Dask's own work is little beside
 # it, and progress is still seen.
 WORTH = 1.0
@@ -187,9 +187,9 @@ class Workers(AbstractWork):
         running = distributed.as_completed()
         try:
             while remaining or pending:
-                while remaining and len(pending) < ASKED_A_THREAD * threads:
+                while remaining and len(pending) < BLOCKS_PER_THREAD * threads:
                     # A block that takes too long comes back, so its size need only be fair.
-                    many = -(-len(remaining) // (ASKED_A_THREAD * threads))
+                    many = -(-len(remaining) // (BLOCKS_PER_THREAD * threads))
                     block = [remaining.popleft() for _ in range(many)]
                     future = self.client.submit(_on_worker, *what, block, pure=False)
                     pending[future.key] = block
@@ -252,7 +252,7 @@ def _on_worker(
     """Computes and keeps chunks of a block, on a worker, for as long as a task is to take: what
     `done` says of each."""
     with _MAKING:
-        samples, evaluation = _ready(_Once(token, problem), folder, most, campaign)
+        samples, evaluation = _ready(_Shared(token, problem), folder, most, campaign)
     ends, failed = time.perf_counter() + WORTH, [done(samples, evaluation, block[0])]
     for number in block[1:]:
         if time.perf_counter() > ends:
@@ -261,7 +261,7 @@ def _on_worker(
     return failed
 
 
-class _Once:
+class _Shared:
     """A problem that counts as the one that came first with the same token: its program is compiled
     once, however often Dask sends it."""
 
@@ -269,20 +269,20 @@ class _Once:
         self.token, self.problem = token, problem
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Once) and self.token == other.token
+        return isinstance(other, _Shared) and self.token == other.token
 
     def __hash__(self) -> int:
         return hash(self.token)
 
 
 @functools.lru_cache(maxsize=4)
-def _program(once: _Once) -> Program:
+def _program(once: _Shared) -> Program:
     """The program of the problem that came first: it serves later campaigns too."""
     return Program(once.problem, wide=True)
 
 
 @functools.lru_cache(maxsize=4)
-def _ready(once: _Once, folder: str, most: int, campaign: str) -> tuple[Samples, Evaluation]:
+def _ready(once: _Shared, folder: str, most: int, campaign: str) -> tuple[Samples, Evaluation]:
     """The folder and the program of a campaign on this worker."""
     if not (Path(folder) / STUDY).exists():
         raise ValueError(

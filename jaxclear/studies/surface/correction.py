@@ -27,9 +27,9 @@ from jaxclear.studies.sampling import all_values
 from jaxclear.studies.statistics.scrambled import deviation_of_moments, student
 from jaxclear.studies.store.batch import evaluate_all
 from jaxclear.studies.store.store import open_store
-from jaxclear.studies.surface.control_variate import Known, normal_blocks, regressed
+from jaxclear.studies.surface.control_variate import Mean, normal_blocks, regressed
 from jaxclear.studies.surface.response_surface import ResponseSurface
-from jaxclear.studies.warned import told
+from jaxclear.studies.warned import sentences_among
 
 # Evaluations of the surface: so many scramblings of so many points, so many at once.
 SURFACE_SCRAMBLINGS, SURFACE_POINTS, TOGETHER = 16, 8192, 1024
@@ -159,7 +159,7 @@ def corrected(
         probabilities[name] = _mean(*parts, _fails(limit, free), weight, unseen)
     statistics = means, deviations, probabilities
     counts = len(values), int((~good).sum()), scramblings
-    return Corrected(surface, *statistics, *counts, told(problem, result.checks, good))
+    return Corrected(surface, *statistics, *counts, sentences_among(problem, result.checks, good))
 
 
 @eqx.filter_jit
@@ -206,17 +206,17 @@ def _block_means(numbers: np.ndarray, good: np.ndarray, blocks: int) -> np.ndarr
     return valid / np.maximum(good.reshape(blocks, -1).sum(axis=1), 1)
 
 
-def _left(numbers, there, good, blocks, free, weight):
+def _residuals(numbers, there, good, blocks, free, weight):
     """What the surface leaves, block by block, with and without it; its own mean added, and the
     variance of that."""
     plain = _block_means(numbers, good, blocks)
-    control = Known.of(free, SURFACE_SCRAMBLINGS).times(weight)
+    control = Mean.of(free, SURFACE_SCRAMBLINGS).times(weight)
     residual = plain - weight * _block_means(there, good, blocks)
     return plain, residual + control.value, control.variance
 
 
 def _mean(numbers, there, good, blocks, free, weight, unseen=0.0) -> CorrectedStatistic:
-    plain, residual, control_variance = _left(numbers, there, good, blocks, free, weight)
+    plain, residual, control_variance = _residuals(numbers, there, good, blocks, free, weight)
     variance = residual.var(ddof=1) / blocks + control_variance + unseen**2
     gain = (plain.var(ddof=1) / blocks + unseen**2) / variance if variance > 0 else np.inf
     width = student(blocks) * np.sqrt(variance)
@@ -228,8 +228,8 @@ def _moments(
 ) -> tuple[CorrectedStatistic, CorrectedStatistic]:
     """Mean and standard deviation."""
     mean = _mean(numbers, there, good, blocks, free, weights[0])
-    first = _left(numbers - middle, there - middle, good, blocks, free - middle, weights[0])
-    second = _left(
+    first = _residuals(numbers - middle, there - middle, good, blocks, free - middle, weights[0])
+    second = _residuals(
         (numbers - middle) ** 2, (there - middle) ** 2, good, blocks, (free - middle) ** 2,
         weights[1],
     )  # fmt: skip

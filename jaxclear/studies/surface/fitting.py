@@ -22,7 +22,7 @@ from jaxclear.studies.surface.polynomials import (
     products,
 )
 from jaxclear.studies.surface.response_surface import ResponseSurface
-from jaxclear.studies.warned import told
+from jaxclear.studies.warned import sentences_among
 
 # Singular values below this share of the largest carry no number.
 RANK = 1e-10
@@ -128,7 +128,9 @@ def fitted(
         by_name(target.T),
         by_name([fit.predictions[:, i] for i, fit in enumerate(chosen)]),
         failed,
-        warnings=told(problem, result.checks, np.asarray(result.outcome) == Outcome.REACHED),
+        warnings=sentences_among(
+            problem, result.checks, np.asarray(result.outcome) == Outcome.REACHED
+        ),
     )
 
 

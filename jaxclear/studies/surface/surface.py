@@ -26,7 +26,7 @@ from jaxclear.studies.problem import Problem
 from jaxclear.studies.sampling import all_values
 from jaxclear.studies.scrambling import scrambled_normal
 from jaxclear.studies.store.batch import evaluate_all
-from jaxclear.studies.store.result import GivenSample, given_sample
+from jaxclear.studies.store.result import GivenSample, sample_of
 from jaxclear.studies.store.store import stored
 from jaxclear.studies.surface.fitting import fitted
 from jaxclear.studies.surface.polynomials import powers
@@ -121,7 +121,7 @@ def surface(
     if why:
         raise ValueError(f"this problem has no exact slopes ({why}); take slopes=False.")
     if isinstance(sample, GivenSample):
-        values, result, lacking = _there(given_sample(problem, sample), slopes)
+        values, result, lacking = _there(sample_of(problem, sample), slopes)
         gradients = None
     else:
         count = len(powers(np.full(len(problem.names), 2), 2))

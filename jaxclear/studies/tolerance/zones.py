@@ -92,7 +92,7 @@ class AbstractZone(AbstractTolerance):
             marker: the `Marker`.
         """
 
-    def _said(self, symbol: str) -> str:
+    def _symbol_text(self, symbol: str) -> str:
         sizes = self.size if isinstance(self.size, tuple) else (self.size,)
         symbol = f"{type(self).__name__.lower()} {symbol}"
         text = f"{symbol}{' x '.join(f'{float(size) / MILLI:g}' for size in sizes)}"
@@ -119,7 +119,7 @@ class AbstractPlaceZone(AbstractZone):
 
     @property
     def specification(self):
-        return self._said("S⌀" if self.spherical else "" if self.width else "⌀")
+        return self._symbol_text("S⌀" if self.spherical else "" if self.width else "⌀")
 
     def __check_init__(self):
         self.check_lines()
@@ -254,7 +254,7 @@ class AbstractLean(AbstractZone):
 
     @property
     def specification(self):
-        return f"{self._said('' if self.along else '⌀')} over {float(self.over) / MILLI:g}"
+        return f"{self._symbol_text('' if self.along else '⌀')} over {float(self.over) / MILLI:g}"
 
     def law(self, plane):
         angle = self.width / self.over
