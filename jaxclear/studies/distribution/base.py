@@ -10,9 +10,9 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.scipy.special import ndtr
 from jaxtyping import Array, Float
 
+from jaxclear.ground import array_functions as xp
 from jaxclear.ground.numerics import safe_divide
 from jaxclear.ground.quantity import AbstractQuantified, Scalar
 from jaxclear.native.compiled import compiled_quickly
@@ -65,7 +65,7 @@ class AbstractDistribution(AbstractQuantified):
         Returns:
             The deviation in the number's unit, of the same shape.
         """
-        return self.quantile(ndtr(score))
+        return self.quantile(xp.ndtr(score))
 
     def score(self, deviation: Float[Array, "..."]) -> Float[Array, "..."]:
         """Standard normal score of a deviation, the inverse of `of_score`, differentiable once.
