@@ -1,8 +1,8 @@
 """What a user waits for before the first result: the first run of every scene in a new process, on
 the integrator that `simulate` takes by default, or on MoreauJean where the scene's friction is
 set-valued; of the four-bar on every rung; on MoreauJean with wear; of mechanisms of several
-spatial loops, with the reactions and the memory; and of studies. With nothing kept by an earlier process, and with
-what one has kept.
+spatial loops, with the reactions and the memory; and of studies. With nothing kept by an
+earlier process, and with what one has kept.
 
     python -m benchmarks.claims.compile_time [--quick] [--only loops|studies] [--models FILE ...]
         [--json FILE]
