@@ -54,22 +54,30 @@ class Inputs(eqx.Module):
         """Whether no two variables are correlated."""
         return self.correlation is None
 
-    def values(self, normal: Float[Array, "... variables"]) -> Float[Array, "... variables"]:
+    def values(
+        self, normal: Float[Array | np.ndarray, "... variables"]
+    ) -> Float[Array, "... variables"]:
         """Values of the variables from independent standard normal numbers [1]."""
         return self.of_scores(self.scores(normal))
 
-    def normal(self, values: Float[Array, "... variables"]) -> Float[Array, "... variables"]:
+    def normal(
+        self, values: Float[Array | np.ndarray, "... variables"]
+    ) -> Float[Array, "... variables"]:
         """Independent standard normal numbers [1] that give these values; for a discrete variable
         the middle of what gives its value."""
         deviations = (values - self.nominal) / self.widths
         scores = self._each(deviations, "score", "scores")
         return scores if self.inverse_root is None else scores @ self.inverse_root.T
 
-    def scores(self, normal: Float[Array, "... variables"]) -> Float[Array, "... variables"]:
+    def scores(
+        self, normal: Float[Array | np.ndarray, "... variables"]
+    ) -> Float[Array | np.ndarray, "... variables"]:
         """Correlated standard normal scores [1] from independent ones."""
         return normal if self.root is None else normal @ self.root.T
 
-    def of_scores(self, scores: Float[Array, "... variables"]) -> Float[Array, "... variables"]:
+    def of_scores(
+        self, scores: Float[Array | np.ndarray, "... variables"]
+    ) -> Float[Array, "... variables"]:
         """Values of the variables from their own scores [1]."""
         return self.nominal + self.widths * self._each(scores, "of_score", "of_scores")
 
@@ -108,8 +116,8 @@ def joint(
         root = library.linalg.cholesky(correlation)
         inverse = library.linalg.inv(root)
     widths, matrices = np.ones(len(names)), (correlation, root, inverse)
-    laws, *numbers = on_host((tuple(alone), jnp.asarray(nominal), widths, *matrices))
-    return Inputs(tuple(names), laws, *numbers, on_host(tuple(joints)))
+    numbers = on_host((tuple(alone), jnp.asarray(nominal), widths, *matrices, tuple(joints)))
+    return Inputs(tuple(names), *numbers)
 
 
 def correlation_matrix(

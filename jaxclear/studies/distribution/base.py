@@ -42,7 +42,7 @@ class AbstractDistribution(AbstractQuantified):
     """
 
     @abstractmethod
-    def quantile(self, share: Float[Array, "..."]) -> Float[Array, "..."]:
+    def quantile(self, share: Float[Array | np.ndarray | float, "..."]) -> Float[Array, "..."]:
         """Deviation below which a share of the parts lies.
 
         Args:
@@ -56,7 +56,7 @@ class AbstractDistribution(AbstractQuantified):
     def deviation(self) -> Scalar:
         """Standard deviation."""
 
-    def of_score(self, score: Float[Array, "..."]) -> Float[Array, "..."]:
+    def of_score(self, score: Float[Array | np.ndarray | float, "..."]) -> Float[Array, "..."]:
         """Deviation of a standard normal score; it has derivatives.
 
         Args:
@@ -67,7 +67,7 @@ class AbstractDistribution(AbstractQuantified):
         """
         return self.quantile(xp.ndtr(score))
 
-    def score(self, deviation: Float[Array, "..."]) -> Float[Array, "..."]:
+    def score(self, deviation: Float[Array | np.ndarray | float, "..."]) -> Float[Array, "..."]:
         """Standard normal score of a deviation, the inverse of `of_score`, differentiable once.
 
         Args:
