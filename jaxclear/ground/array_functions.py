@@ -22,9 +22,9 @@ def __getattr__(name: str) -> Callable[..., Any]:
     libraries: Any = np, jnp
     if name in SPECIAL:
         # Loaded for who needs them: a tenth of the import.
-        import jax.scipy.special
+        from jax.scipy import special
 
-        libraries = scipy.special, jax.scipy.special
+        libraries = scipy.special, special
     plain, traced = (getattr(library, name) for library in libraries)
 
     @functools.wraps(traced)
