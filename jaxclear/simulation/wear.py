@@ -94,7 +94,8 @@ def merged_by_path(system: System, losses: Losses, longest: float) -> Losses:
     """Losses one after the other (axis of time in front) of each surface, where those that follow
     upon each other are one as far as a contact has moved by a `longest` path [cells], and unless it
     was interrupted; as many rows, of which the last ones lose nothing."""
-    maps, merged = wear_maps(system), {}
+    maps = wear_maps(system)
+    merged: Losses = {}
     for (joint, surface), (volumes, places) in losses.items():
         path = jax.vmap(jax.vmap(lambda place, of=maps[joint][surface][0]: of.path(place) + 0.0))
         weighted = volumes[..., None] * places
