@@ -264,7 +264,7 @@ def advised():
 
 
 SUNK = jc.limit_state.Above(FORCE, 1.23e6)
-VERDICT = "Agreed by pathwise and regression with a surface; not by differences. "
+VERDICT = "From pathwise, confirmed by regression with a surface. Not confirmed by differences. "
 
 
 def drawn():
