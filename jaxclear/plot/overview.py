@@ -75,17 +75,21 @@ def overview(run: Trajectory, *, ax: Any = None) -> Any:
     places, turns, forces = sheet.axes.flat
     mask = reached(run, -np.inf)
     time = np.asarray(run.time)[mask]
-    distances = {}
+    distances, spins = {}, {}
     for name in wholes(run.mechanism.bodies):
         motion = run.body(name)
         com = np.asarray(motion.com)[mask]
         distances[name] = np.linalg.norm(com - com[0], axis=1)
-        turns.plot(time, np.linalg.norm(np.asarray(motion.spin)[mask], axis=1), lw=1.0, label=name)
+        spins[name] = np.asarray(motion.spin)[mask]
     factor, unit = readable(np.concatenate(list(distances.values())), "m")
     for name, distance in distances.items():
         places.plot(time, factor * distance, lw=1.0, label=name)
     places.set_ylabel(f"displacement from the start [{unit}]")
-    turns.set_ylabel("angular velocity [rad/s]")
+    about_z = all(np.all(spin[:, :2] == 0.0) for spin in spins.values())
+    for name, spin in spins.items():
+        rate = spin[:, 2] if about_z else np.linalg.norm(spin, axis=1)
+        turns.plot(time, rate, lw=1.0, label=name)
+    turns.set_ylabel(f"angular {'velocity' if about_z else 'speed'} [rad/s]")
     draw_forces(forces, run, *run.formulation.contact_joints(run.mechanism))
     forces.set_xlabel("time [s]")
     key(places)
@@ -112,6 +116,10 @@ def draw_forces(axis: Any, run: Trajectory, *joints: str) -> None:
         axis.plot(np.asarray(run.time)[mask], factor * force, label=name, **how)
         label = f"largest of a contact in all steps, {factor * peak:.4g} {unit}"
         axis.axhline(factor * peak, ls=":", label=label, **how)
+    # A peak between saved instants may be a hundred times as high: its line then lies outside.
+    highest = max((factor * force.max() for force in saved), default=0.0)
+    if highest > 0:
+        axis.set_ylim(top=1.1 * highest)
     axis.set_ylabel(f"normal force [{unit}]")
 
 

@@ -11,6 +11,7 @@ import scipy
 
 import jaxclear as jc
 from jaxclear.ground.printing import with_error
+from jaxclear.plot.canvas import as_warnings
 from jaxclear.plot.studies import _warned_samples
 from jaxclear.studies.experiment import Cost, Description, ResponseInfo, SampleResult
 from jaxclear.studies.replicas import MOST_REPLICAS
@@ -216,7 +217,7 @@ def test_what_is_off_beyond_the_promise_is_said(study):
     (said,) = found.doubts
     assert said.startswith('"way": the steps change its mean by -0.25 m, more than the tolerance')
     assert said in found.sentence() and said in str(found)
-    assert _warned_samples(found)[: len(found.doubts)] == [*found.doubts]
+    assert _warned_samples(found)[: len(found.doubts)] == as_warnings(found.doubts)
     assert max(len(part.split()) for part in re.split(r"[.;] ", said)) <= MOST_WORDS
     assert study.doubts == ()
     answers = jc.sensitivity(found.problem, sample=found, difference_samples=8)
