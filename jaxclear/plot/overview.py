@@ -11,7 +11,7 @@ from jaxclear.ground.arguments import expect
 from jaxclear.ground.wording import described, listed
 from jaxclear.plot.canvas import check_run, key, panels, readable, warned
 from jaxclear.plot.identification import identification, remaining_life
-from jaxclear.plot.life import design, settled, wear_life, wear_lives
+from jaxclear.plot.life import design, largest, settled, wear_life, wear_lives
 from jaxclear.plot.motion import pointing_budget
 from jaxclear.plot.signal import reached
 from jaxclear.plot.studies import (
@@ -33,6 +33,7 @@ from jaxclear.results.response import PeakContactForce
 from jaxclear.results.trajectory import Trajectory
 from jaxclear.statics.positions import Positions
 from jaxclear.studies.advice import Advice
+from jaxclear.studies.design.largest import Largest
 from jaxclear.studies.design.result import Design
 from jaxclear.studies.fidelity.result import MultiFidelity
 from jaxclear.studies.identification.remaining_life import RemainingLife
@@ -176,6 +177,7 @@ FIGURES: dict[type, Callable] = {
     Corrected: corrected,
     Design: design,
     Identified: identification,
+    Largest: largest,
     MonteCarlo: monte_carlo,
     MultiFidelity: multi_fidelity,
     PointingError: pointing_budget,

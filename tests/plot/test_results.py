@@ -43,6 +43,11 @@ TOO_LONG = jc.limit_state.Above("sum", 3.03e-3)
 CHEAPER = problem(lambda a, b: {"sum": a + 0.9 * b, "product": a * b})
 
 
+def answered():
+    limit = jc.limit.Quantile("sum", at_most=3.05e-3, share=0.95)
+    return jc.largest(problem(), "a", limit, (1e-3, 3e-3), accuracy=0.1)
+
+
 # A result of each kind that a function of dimensions gives.
 STUDIES = {
     "Identified": lambda folder: identified(problem()),
@@ -61,6 +66,7 @@ STUDIES = {
     "Corrected": lambda folder: jc.corrected(jc.surface(problem()), 8, limits={"long": TOO_LONG}),
     "Reliability": lambda folder: jc.reliability(problem(), TOO_LONG),
     "Design": lambda folder: sized(),
+    "Largest": lambda folder: answered(),
     "MultiFidelity": lambda folder: jc.multi_fidelity(problem(), CHEAPER, 256),
 }
 
