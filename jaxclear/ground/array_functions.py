@@ -3,6 +3,7 @@ compiles nothing, by JAX where one is JAX's, which may be traced.
 """
 
 import functools
+import importlib
 from collections.abc import Callable
 from typing import Any
 
@@ -22,9 +23,7 @@ def __getattr__(name: str) -> Callable[..., Any]:
     libraries: Any = np, jnp
     if name in SPECIAL:
         # Loaded for who needs them: a tenth of the import.
-        from jax.scipy import special
-
-        libraries = scipy.special, special
+        libraries = scipy.special, importlib.import_module("jax.scipy.special")
     plain, traced = (getattr(library, name) for library in libraries)
 
     @functools.wraps(traced)
