@@ -5,16 +5,18 @@ Studies see a `Problem`, never a joint. The path from varied numbers to response
 """
 
 import dataclasses
-import functools
 from collections.abc import Callable, Mapping
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxclear.ground import array_functions as xp
 from jaxclear.ground.arguments import expect
+from jaxclear.ground.array_functions import on_host
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.printing import in_a_line, number_in_words
 from jaxclear.ground.quantity import AbstractQuantified, with_quantities
@@ -164,10 +166,13 @@ class Problem(AbstractQuantified):
             first += count
         return groups
 
-    @functools.cached_property
+    @property
     def description(self) -> Description:
         """What is known before any sample is computed."""
-        return self.experiment.describe()
+        # Not kept in the problem, by whose form programs are found.
+        if self not in _DESCRIPTIONS:
+            _DESCRIPTIONS[self] = self.experiment.describe()
+        return _DESCRIPTIONS[self]
 
     def units(self) -> dict[str, str]:
         """Unit of each response."""
@@ -183,7 +188,7 @@ class Problem(AbstractQuantified):
         numbers = [self.variables[name].nominal_in(subject) for name in self.variable_names]
         if len(self.names) > len(numbers):
             return jnp.concatenate([jnp.atleast_1d(number) for number in numbers])
-        return jnp.stack(numbers) if numbers else jnp.zeros(0)
+        return jnp.asarray(xp.stack(on_host(numbers))) if numbers else jnp.zeros(0)
 
     def setting(self, values: Any) -> Setting:
         """The variables at these values.
@@ -282,6 +287,9 @@ class Problem(AbstractQuantified):
                 f"evaluate takes an array of {len(self.names)} values, one for each variable in "
                 f"order{names}; it is given {described(values)}."
             )
+
+
+_DESCRIPTIONS: WeakKeyDictionary[Problem, Description] = WeakKeyDictionary()
 
 
 def _fields(
