@@ -204,19 +204,12 @@ class CompliantContact(AbstractFormulation):
         Returns:
             a `ContactMotion`.
         """
-        points = _point_motions(model, time, state)
-        if not model.layout.plays:
-            return _stacked(points)
-        depths = lambda time, state: _flank_motion(model, time, state, flanks)
-        own = depths(time, state)
+        motion = lambda time, state: _stacked(_row_motions(model, time, state, flanks))
         if exact and any(one.left_by_torque for one in model.system.transmissions.values()):
             flow = self.rate(model, time, state, None, flanks)[0]
-            rates = jax.jvp(lambda *now: depths(*now).depths, (time, state), (1.0, flow))[1]
-            own = own._replace(rates=rates)
-        if not points:
-            return own
-        joints = _stacked(points)
-        return ContactMotion(*map(jnp.concatenate, zip(joints, own, strict=True)))
+            depths = lambda *now: motion(*now).depths
+            return ContactMotion(*jax.jvp(depths, (time, state), (1.0, flow)))
+        return motion(time, state)
 
     def damped(self, model: Model) -> bool:
         """Whether some contact damps, so that its depth does not determine its force; flanks of
@@ -262,13 +255,8 @@ class CompliantContact(AbstractFormulation):
         Returns:
             velocities [m/s], an array (contacts, 3).
         """
-        laws = [own for bearing in model.system.bearings.values() for own in bearing.contact_laws]
-        found = []
-        for own, (_, _, slip) in zip(laws, _point_motions(model, time, state), strict=True):
-            rubbing = () if own.friction is None else slip
-            found.append(sp.stack([*rubbing, *sp.ZERO][:3]))
-        found += [jnp.zeros(3)] * (2 * len(model.layout.plays))
-        return jnp.stack(found)
+        rows = _row_motions(model, time, state)
+        return jnp.stack([sp.stack([*slip, *sp.ZERO][:3]) for _, _, slip in rows])
 
     def coordinate_rates(self, model: Model, state: State) -> Float[Array, " q"]:
         """Rates of the coordinates alone, which follow from coordinates and speeds.
@@ -439,33 +427,30 @@ class CompliantContact(AbstractFormulation):
         return sp.stack(after), sp.stack(handed_on)
 
 
-def _point_motions(model: Model, time: Any, state: State) -> list[tuple]:
-    """(indentation, its rate, components of slip) of every possible contact of joints, from the
-    geometry alone."""
-    motion = unpack_motion(model.system, model.entries(state))
-    motions = kinematics.link_motions(model.system, *motion, time)
-    bearings = model.system.bearings
+def _row_motions(model: Model, time: Any, state: State, flanks: Any = None) -> list[tuple]:
+    """(depth, its rate, components of slip where it rubs) of every possible contact, then of every
+    flank, from the geometry alone."""
+    system, entries = model.system, model.entries(state)
+    motions = kinematics.link_motions(system, *unpack_motion(system, entries), time)
+    bearings, relative = system.bearings.items(), relative_motions(system, motions)
     calls = [
         (bearing.joint, own, model.worn.get(name, {}))
-        for (name, bearing), own in zip(
-            bearings.items(), relative_motions(model.system, motions), strict=True
-        )
+        for (name, bearing), own in zip(bearings, relative, strict=True)
     ]
-    found = map_grouped(contact_point.point_motions, calls)
-    return [point for joint in found for point in joint]
-
-
-def _flank_motion(model: Model, time: Any, state: State, flanks: Any) -> ContactMotion:
-    """Depth and rate of the flanks of all plays."""
-    entries = model.entries(state)
-    motions = kinematics.link_motions(model.system, *unpack_motion(model.system, entries), time)
-    followed = unpack_followed(model.layout, entries, flanks)
-    return _stacked(_flanks_of(pressing_of(model.system, motions, followed)))
+    points = [row for joint in map_grouped(contact_point.point_motions, calls) for row in joint]
+    laws = [own for bearing in system.bearings.values() for own in bearing.contact_laws]
+    rubs = [own.friction is not None for own in laws]
+    found = [(*row[:2], row[2] if own else ()) for own, row in zip(rubs, points, strict=True)]
+    if model.layout.plays:
+        followed = unpack_followed(model.layout, entries, flanks)
+        found += _flanks_of(pressing_of(system, motions, followed))
+    return found
 
 
 def _flanks_of(pressing: dict[str, Pressing]) -> list:
-    """(depth, rate) of every flank."""
-    return [x for own in pressing.values() for x in zip(own.depths, own.rates, strict=True)]
+    """(depth, rate, no slip) of every flank."""
+    pairs = (pair for own in pressing.values() for pair in zip(own.depths, own.rates, strict=True))
+    return [(*pair, ()) for pair in pairs]
 
 
 def _acting(
@@ -492,7 +477,7 @@ def _with_shares(memories: dict, shares: Any) -> dict:
 
 
 def _stacked(points: list) -> ContactMotion:
-    """The motion of all contacts from (indentation, rate) of each."""
+    """The motion of all contacts from (indentation, rate, ...) of each."""
     depths, rates = ([point[i] for point in points] for i in (0, 1))
     return ContactMotion(sp.stack(depths), sp.stack(rates))
 

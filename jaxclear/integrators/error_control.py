@@ -463,6 +463,24 @@ class StandingAtBounds(
         return self.bounded(y1, args), *others
 
 
+class FollowingCouplings(
+    AbstractAround, diffrax.AbstractAdaptiveSolver, diffrax.AbstractWrappedSolver
+):
+    """`solver`, and `largest(time, state, args, before)`: the largest that couplings have
+    transmitted where its steps end, and before."""
+
+    solver: diffrax.AbstractSolver  # type: ignore[misc]
+    largest: Callable
+
+    def init(self, terms, t0, t1, y0, args):
+        return self.solver.init(terms, t0, t1, y0, args), self.largest(t0, y0, args, None)
+
+    def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
+        inner, before = solver_state
+        y1, *others, inner, result = self.solver.step(terms, t0, t1, y0, args, inner, made_jump)
+        return y1, *others, (inner, self.largest(t1, y1, args, before)), result
+
+
 class TakingImpactSpeeds(
     AbstractAround, diffrax.AbstractAdaptiveSolver, diffrax.AbstractWrappedSolver
 ):
