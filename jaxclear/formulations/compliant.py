@@ -51,45 +51,27 @@ def _work_rates(model: Model, time: Any, entries: list, mean: list) -> list:
     """Rates [W] of the energies of the balance but its input, in the order of `state.ENERGIES`: of
     the forces at a state's `entries`, over the `mean` speeds of the step that begins there."""
     system, layout = model.system, model.layout
-    memories = unpack_memories(layout, entries)
-    coordinates, followed = entries[: layout.coordinates], unpack_followed(layout, entries)
-
-    def at(speeds):
-        q, v = unpack_motion(system, [*coordinates, *speeds])
-        motions = kinematics.link_motions(system, q, v, time)
-        reports = contact_reports(system, motions, memories, model.worn)
-        return forces_at(system, motions, reports, q, v, time, followed)
-
-    start = at(entries[layout.coordinates : layout.memory_start])
-    middle = at(mean)
+    first, last = layout.coordinates, layout.memory_start
+    start, q, _ = _acting(model, time, entries)
+    middle = _acting(model, time, [*entries[:first], *mean, *entries[last:]])[0]
     work, loss, rubbed = 0, 0, 0
-    for name, bearing in system.bearings.items():
-        report = start.reports[name]
-        relative = kinematics.relative_motion(bearing.closure, middle.motions)[2]
-        given = sp.add(
-            sp.dot(report.force, relative.velocity), sp.dot(report.torque, relative.spin)
-        )
-        pressed, damped = 0, 0
-        pose = kinematics.relative_motion(bearing.closure, start.motions)[1]
-        own_laws = contact_point.laws_at(
-            bearing.joint, bearing.contact_laws, pose, model.worn.get(name, {})
-        )
-        points = zip(own_laws, report.points, middle.reports[name].points, strict=True)
-        for laws, begun, moved in points:
-            elastic = laws.contact.elastic_force(begun.indentation)
+    # The rows of contacts come first.
+    for row, name in zip(start.rows, system.bearings, strict=False):
+        given, pressed, damped = row.direction.rate(middle.motions), 0, 0
+        points = zip(start.reports[name].points, middle.reports[name].points, strict=True)
+        for begun, moved in points:
             pressed = sp.add(pressed, begun.normal_force * moved.rate)
-            damped = sp.add(damped, (begun.normal_force - elastic) * moved.rate)
+            damped = sp.add(damped, (begun.normal_force - begun.elastic_force) * moved.rate)
         work, loss = sp.add(work, pressed), sp.add(loss, damped)
         rubbed = sp.sub(rubbed, sp.add(given, pressed))
     held = touching(system)
     if held:
-        q, _ = unpack_motion(system, entries)
-        begun = rubbing(model, start, q)
-        change = sp.each(sp.sub, mean, entries[layout.coordinates : layout.memory_start])
+        found = rubbing(model, start, q)
+        change = sp.each(sp.sub, mean, entries[first:last])
         slips = [
             rate.at(change) for one in held for rate in sliding_rates(system, start.motions, one)
         ]
-        rubbed = sp.add(rubbed, friction_losses(held, begun.friction, slips)[0])
+        rubbed = sp.add(rubbed, friction_losses(held, found.friction, slips)[0])
     # What a damper takes is of second degree: the mean is right to the square of the change.
     damping = sp.mul(0.5, sp.add(start.damping_loss, middle.damping_loss))
     return [work, loss, rubbed, damping]
@@ -134,23 +116,16 @@ class CompliantContact(AbstractFormulation):
         return (*mechanism.topology.clearances, *rubbing_in(mechanism.connections))
 
     def forces(self, instant: Instant):
-        forces = self._of_contacts(instant)
+        forces = _acting(instant.model, instant.time, instant.entries)[0]
         if not rubbing_joints(instant.model.system):
             return forces
         return joint_friction.rubbing(instant.model, forces, instant.q).forces
 
     def contact(self, instant: Instant, name: str) -> ContactReport:
-        forces = self._of_contacts(instant)
+        forces = _acting(instant.model, instant.time, instant.entries)[0]
         if name in instant.model.system.bearings:
             return clearance_contact(instant, forces, name)
         return joint_friction.contact(instant, forces, name)
-
-    def _of_contacts(self, instant: Instant) -> Forces:
-        """What acts but friction in ideal joints."""
-        model = instant.model
-        memories = unpack_memories(model.layout, instant.entries)
-        reports = contact_reports(model.system, instant.motions, memories, model.worn)
-        return instant.forces(reports)
 
     def rate(
         self, model: Model, time: Any, state: State, shares: Any = None, flanks: Any = None

@@ -144,22 +144,16 @@ def _taken_up(formulation: Any, model: Model, now: tuple, motions: tuple, step: 
 
 
 def _kicked(formulation: Any, model: Model, clock: tuple, y: Any, end: Any) -> Any:
-    """The end of a semi-implicit step, whose places move by the speeds at its end."""
+    """The end of a semi-implicit step, whose places move by the speeds at its end, with the
+    energies of the balance where they are asked for."""
     h, n = clock[1], model.layout.coordinates
     rates = formulation.coordinate_rates(model, jnp.concatenate([y[:n], end[n:]]))
-    return _with_energies(
-        formulation, model, clock, y, jnp.concatenate([y[:n] + h * rates, end[n:]])
-    )
-
-
-def _with_energies(formulation: Any, model: Model, clock: tuple, y: Any, after: Any) -> Any:
-    """The energies of the balance after a semi-implicit step, where they are asked for."""
-    layout = model.layout
-    if not layout.energies:
+    after = jnp.concatenate([y[:n] + h * rates, end[n:]])
+    if not model.layout.energies:
         return after
-    n, m, first = layout.coordinates, layout.memory_start, layout.energy_start + 1
+    m, first = model.layout.memory_start, model.layout.energy_start + 1
     powers = formulation.energy_rates(model, clock[0], y, 0.5 * (y[n:m] + after[n:m]))
-    return jnp.concatenate([after[:first], y[first:] + clock[1] * powers])
+    return jnp.concatenate([after[:first], y[first:] + h * powers])
 
 
 def _step_on_group(
