@@ -64,10 +64,10 @@ class Evolution:
     def __call__(self, columns):
         """Cost with penalties (candidates,) of `columns` (numbers, candidates)."""
         places = [self.place(own) for own in columns.T]
-        told = self.told(places)
+        told = self.evaluate(places)
         return np.array([cost + PENALTY * np.maximum(excess, 0.0).sum() for cost, excess in told])
 
-    def told(self, places):
+    def evaluate(self, places):
         """(cost, excesses) of candidates; the cheapest that keeps its limits is remembered."""
         begun = time.process_time()
         values = [np.asarray(self.question.values(jnp.asarray(p), self.normal)) for p in places]
@@ -97,7 +97,7 @@ class Evolution:
         def limits(place):
             # It asks again for what it has asked.
             if place.tobytes() not in known:
-                known[place.tobytes()] = self.told([place])[0][1]
+                known[place.tobytes()] = self.evaluate([place])[0][1]
             return known[place.tobytes()]
 
         minimize(

@@ -12,7 +12,7 @@ import numpy as np
 
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import expect
-from jaxclear.plot.canvas import Roomy, key, panels, readable
+from jaxclear.plot.canvas import Roomy, as_warnings, key, panels, readable
 from jaxclear.studies.identification.remaining_life import RemainingLife
 from jaxclear.studies.identification.result import IDENTIFIED, Evidence, Identified, prior_quantiles
 
@@ -56,7 +56,7 @@ def identification(result: Identified, *, ax: Any = None) -> Any:
         draw(axis)
     count = sum(u.verdict == IDENTIFIED for u in result.unknowns)
     sheet.title(f"{count} of {len(result.unknowns)} unknowns identified, from {result.runs} runs")
-    return sheet.done(result.warned)
+    return sheet.done(as_warnings(result.warned))
 
 
 @answering
@@ -95,7 +95,7 @@ def remaining_life(result: RemainingLife, *, ax: Any = None) -> Any:
     axis.set_ylabel(f"{result.name} [{unit}]")
     key(axis)
     sheet.title(result.sentence())
-    return sheet.done([f"Warning: {one}" for one in result.warnings])
+    return sheet.done(as_warnings(result.warnings))
 
 
 def _panels(result: Identified) -> list[Callable[[Any], None]]:
@@ -110,7 +110,7 @@ def _panels(result: Identified) -> list[Callable[[Any], None]]:
     pairs = itertools.islice(itertools.combinations(unknowns, 2), MOST_PAIRS)
     drawn += [partial(_pair, result=result, i=i, k=k) for i, k in pairs]
     if evidence is not None:
-        part = evidence.held().mean(0)
+        part = evidence.coverage().mean(0)
         drawn += [
             partial(_leave_one_out, result=result, evidence=evidence, k=k, part=float(part[k]))
             for k in unknowns
@@ -176,7 +176,7 @@ def _leave_one_out(axis: Any, result: Identified, evidence: Evidence, k: int, pa
     fitted, name = evidence.fitted, u.name
     factor, unit = readable([u.prior_low, u.prior_high], u.unit)
     as_value = lambda shares: factor * prior_quantiles(result.problem, name, shares)
-    estimates = as_value(np.clip(fitted.surfaces[k].left_out, 0.0, 1.0))
+    estimates = as_value(np.clip(fitted.surfaces[k].predictions, 0.0, 1.0))
     axis.plot(estimates, as_value(fitted.unknowns[:, k]), "o", ms=3, mew=0, alpha=0.5)
     ends = factor * np.array([u.prior_low, u.prior_high])
     axis.plot(ends, ends, color="0.5", lw=0.8)

@@ -9,7 +9,7 @@ import numpy as np
 
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import expect
-from jaxclear.plot.canvas import Roomy, key, panels, readable, volume
+from jaxclear.plot.canvas import Roomy, as_warnings, key, panels, readable, volume
 from jaxclear.studies.design.result import Design
 from jaxclear.studies.life.result import CONFIDENCE, DEPTH, VOLUME, WearLife
 from jaxclear.studies.life.settled import Settled
@@ -54,7 +54,7 @@ def settled(result: Settled, *, ax: Any = None) -> Any:
         axis.set_xlabel("cycle [1]")
         axis.xaxis.set_major_locator(Roomy(integers=True))
     sheet.title(result.sentence().partition(": ")[0] + ".")
-    return sheet.done([f"Warning: {one}" for one in result.warnings])
+    return sheet.done(as_warnings(result.warnings))
 
 
 @answering
@@ -133,7 +133,7 @@ def wear_life(life: WearLife, *, ax: Any = None) -> Any:
     short = f"{life.cycles[-1]:.4g} cycles of machine life from {life.simulated} simulated ones"
     sheet.title(short)
     notes = [f"Ended early: {life.ended}"] if life.ended else []
-    return sheet.done([*notes, *(f"Warning: {one}" for one in life.warnings)])
+    return sheet.done([*as_warnings(life.warnings), *notes])
 
 
 def _worn(axis: Any, life: WearLife, kind: str) -> None:

@@ -93,18 +93,18 @@ class Copies:
         duration = float(problem.duration)
         self._runs = [repeated(problem.with_values(row), duration, how) for row in values]
         self._drawn = compiled_quickly(self._answers, AROUND_A_KERNEL)
-        self._known: dict[tuple, Runs] = {}
+        self._cache: dict[tuple, Runs] = {}
 
     def _answers(self, run: Any) -> dict[str, Any]:
-        return {name: answer(name, own, run) for name, own in self.problem.response.items()}
+        return {name: answer(name, f, run) for name, f in self.problem.response.items()}
 
     def run(self, integrator: AbstractIntegrator, share: float = 1.0) -> Runs:
         """All copies over a share of the duration. What an integrator cannot do is a sentence."""
         leaves, kind = jax.tree.flatten(integrator)
         key = kind, share, *(np.asarray(leaf).tobytes() for leaf in leaves)
-        if key not in self._known:
-            self._known[key] = self._run(integrator, share)
-        return self._known[key]
+        if key not in self._cache:
+            self._cache[key] = self._run(integrator, share)
+        return self._cache[key]
 
     def _run(self, integrator: AbstractIntegrator, share: float) -> Runs:
         rows, steps = [], np.zeros(2)
@@ -124,20 +124,20 @@ class Copies:
             rows.append({name: float(x) for name, x in answers.items()})
         accepted, rejected = steps / max(len(rows), 1)
         answers = {n: np.array([row[n] for row in rows]) for n in self.problem.response_names}
-        endless = [f'"{n}"' for n, own in answers.items() if not np.all(np.isfinite(own))]
+        endless = [f'"{n}"' for n, values in answers.items() if not np.all(np.isfinite(values))]
         if endless and not failure:
             failure = f"not finite: response {', '.join(endless)}."
-        said = f"{len(warned)} of {len(rows)} runs warn: {warned[0]}" if warned else ""
-        return Runs(answers, accepted, rejected, failure, said, refused)
+        message = f"{len(warned)} of {len(rows)} runs warn: {warned[0]}" if warned else ""
+        return Runs(answers, accepted, rejected, failure, message, refused)
 
     def seconds(self, integrator: AbstractIntegrator) -> float:
         """Computing time of the nominal run [s], compiled before."""
-        begun = time.process_time()
+        start = time.process_time()
         self._drawn(self._runs[0](integrator, 1.0))
-        return time.process_time() - begun
+        return time.process_time() - start
 
 
-class Asked(NamedTuple):
+class Accuracy(NamedTuple):
     """The accuracy [1] asked of responses, beside their root mean square over the copies."""
 
     accuracy: float
@@ -146,13 +146,13 @@ class Asked(NamedTuple):
         """The largest error told that passes [1]."""
         return self.accuracy * (1.0 if copies == 1 else copies / (copies + SPARED))
 
-    def beside(self, one: dict, other: dict) -> dict[str, float]:
+    def error_ratios(self, one: dict, other: dict) -> dict[str, float]:
         """By response how far two settings are apart, beside what is allowed."""
-        found = {}
-        for name, own in one.items():
-            allowed = float(np.sqrt(np.mean(own**2))) * self.limit(len(own))
-            found[name] = ratio_to_allowed(float(np.max(np.abs(own - other[name]))), allowed)
-        return found
+        ratios = {}
+        for name, values in one.items():
+            allowed = float(np.sqrt(np.mean(values**2))) * self.limit(len(values))
+            ratios[name] = ratio_to_allowed(float(np.max(np.abs(values - other[name]))), allowed)
+        return ratios
 
 
 class Trial(NamedTuple):
@@ -192,7 +192,7 @@ class Advice(AbstractAnswer):
     """
 
     copies: Copies = eqx.field(static=True)
-    wanted: Asked
+    request: Accuracy
     rungs: "_Rungs"
     trials: tuple[Trial, ...]
     chosen: Trial
@@ -206,7 +206,7 @@ class Advice(AbstractAnswer):
     @property
     def accuracy(self) -> float:
         """The accuracy that was asked for [1]."""
-        return self.wanted.accuracy
+        return self.request.accuracy
 
     @property
     def met(self) -> bool:
@@ -225,11 +225,11 @@ class Advice(AbstractAnswer):
 
     def at(self, accuracy: float) -> "Advice":
         """The same at another accuracy."""
-        return _advised(self.copies, self.wanted._replace(accuracy=_checked(accuracy)), self.rungs)
+        return _advised(self.copies, self.request._replace(accuracy=_checked(accuracy)), self.rungs)
 
     def sentence(self) -> str:
         """The answer in plain words."""
-        parts = [self._recommended(), *self._models(), self._own()]
+        parts = [self._recommended(), *self._models(), self._present_text()]
         if not self.met:
             parts.append(PARTING)
         many = len(self.copies.values)
@@ -237,21 +237,21 @@ class Advice(AbstractAnswer):
         return " ".join([*parts, *self.warnings(), f"Seen on {runs}."])
 
     def _recommended(self) -> str:
-        trial, asked = self.chosen, _percent(self.accuracy)
+        trial, limit = self.chosen, _percent(self.accuracy)
         text, (which, error) = as_typed(trial.integrator), trial.worst
         named = f' in "{which}"' if len(trial.errors) > 1 else ""
-        found = f"{text} keeps {asked}:" if self.met else f"Nothing tried keeps {asked}; {text}:"
+        head = f"{text} keeps {limit}:" if self.met else f"Nothing tried keeps {limit}; {text}:"
         seconds = f"{self.cost * float(self.asked.duration):.2g} s"
         return (
-            f"{found} estimated error {_percent(error)}{named}, {trial.work} evaluations of forces "
+            f"{head} estimated error {_percent(error)}{named}, {trial.work} evaluations of forces "
             f"a run, {seconds} here."
         )
 
     def _models(self) -> Iterator[str]:
         for name in self.rungs.other:
-            own = [trial for trial in self.trials if trial.method == name and trial.left_out]
-            if own:
-                best = min(own, key=lambda trial: trial.worst[1])
+            trials = [trial for trial in self.trials if trial.method == name and trial.left_out]
+            if trials:
+                best = min(trials, key=lambda trial: trial.worst[1])
                 which, off = best.worst
                 yield (
                     f"{as_typed(best.integrator)}, another model of contact, is {_percent(off)} "
@@ -261,13 +261,13 @@ class Advice(AbstractAnswer):
     def _times(self, trial: Trial) -> str:
         return f"{trial.work / max(self.chosen.work, 1):.2g} times the work"
 
-    def _own(self) -> str:
-        (own,) = (trial for trial in self.trials if trial.method == PRESENT)
-        text = f"The problem's own {as_typed(own.integrator)}"
-        if own.remark:
-            return f"{text} fails: {own.remark}"
-        which, off = own.worst
-        return f'{text} is {_percent(off)} off in "{which}" with {self._times(own)}.'
+    def _present_text(self) -> str:
+        (present,) = (trial for trial in self.trials if trial.method == PRESENT)
+        text = f"The problem's own {as_typed(present.integrator)}"
+        if present.remark:
+            return f"{text} fails: {present.remark}"
+        which, off = present.worst
+        return f'{text} is {_percent(off)} off in "{which}" with {self._times(present)}.'
 
     def _shown(self):
         others = (f"Not {name}: {why}" for name, why in self.why_not().items())
@@ -275,8 +275,8 @@ class Advice(AbstractAnswer):
 
     def warnings(self) -> list[str]:
         """What the runs of the recommended setting warn of, in sentences."""
-        said = self.copies.run(self.recommended).warnings
-        return [said] if said else []
+        warnings = self.copies.run(self.recommended).warnings
+        return [warnings] if warnings else []
 
     def why_not(self) -> dict[str, str]:
         """Why each other method is not the one recommended, in a sentence."""
@@ -284,10 +284,10 @@ class Advice(AbstractAnswer):
         return {name: self._why_not(name) for name in names if name != self.chosen.method}
 
     def _why_not(self, name: str) -> str:
-        own = [trial for trial in self.trials if trial.method == name]
-        tried = [trial for trial in own if not trial.remark]
-        if own and not tried:
-            return f"fails: {own[-1].remark}"
+        trials = [trial for trial in self.trials if trial.method == name]
+        tried = [trial for trial in trials if not trial.remark]
+        if trials and not tried:
+            return f"fails: {trials[-1].remark}"
         if not tried:
             return "dearer: its first setting takes more than what is recommended."
         best = min(tried, key=lambda trial: trial.worst[1])
@@ -305,23 +305,23 @@ class Advice(AbstractAnswer):
     def _stated(self):
         responses, every = self.asked.response_names, self.trials
         over = lambda read: [read(trial) for trial in every]
-        told = {
-            "method": over(lambda own: own.method),
-            "setting": over(lambda own: as_typed(own.integrator)),
-            "work": over(lambda own: own.work),
-            "worst response": over(lambda own: own.worst[0]),
-            "error": over(lambda own: own.worst[1]),
+        entries = {
+            "method": over(lambda t: t.method),
+            "setting": over(lambda t: as_typed(t.integrator)),
+            "work": over(lambda t: t.work),
+            "worst response": over(lambda t: t.worst[0]),
+            "error": over(lambda t: t.worst[1]),
         }
         for name in responses:
-            told[f"error in {name}"] = over(lambda own, name=name: own.errors.get(name, math.nan))
-        left_out = lambda own: max(own.left_out.values(), default=math.nan)
-        told |= {
-            "left out by the model": over(left_out),
-            "meets": over(lambda own: own.meets),
-            "recommended": over(lambda own: own is self.chosen),
-            "remark": over(lambda own: own.remark),
+            entries[f"error in {name}"] = over(lambda t, name=name: t.errors.get(name, math.nan))
+        omitted = lambda t: max(t.left_out.values(), default=math.nan)
+        entries |= {
+            "left out by the model": over(omitted),
+            "meets": over(lambda t: t.meets),
+            "recommended": over(lambda t: t is self.chosen),
+            "remark": over(lambda t: t.remark),
         }
-        columns = {name: Column(("trial",), own) for name, own in told.items()}
+        columns = {name: Column(("trial",), values) for name, values in entries.items()}
         return Stated("advice", columns, self.asked)
 
 
@@ -360,29 +360,29 @@ def advise(
         ValueError: if an argument is wrong, or no run gives numbers.
     """
     check_double_precision()
-    wanted = "a jaxclear.Problem of a mechanism in time"
-    expect(problem, Problem, "what advice is given on", wanted)
-    expect(problem.experiment, RunExperiment, "what advice is given on", wanted)
+    expected = "a jaxclear.Problem of a mechanism in time"
+    expect(problem, Problem, "what advice is given on", expected)
+    expect(problem.experiment, RunExperiment, "what advice is given on", expected)
     pilot = PilotSettings() if pilot is None else pilot
     expect(pilot, PilotSettings, "the pilot", "a jaxclear.PilotSettings")
     check_flags("advise", progress_bar=progress_bar)
-    asked, copies = Asked(_checked(accuracy)), Copies(problem, _values(problem, pilot))
-    return _advised(copies, asked, _rungs(problem, copies.times), progress_bar)
+    request, copies = Accuracy(_checked(accuracy)), Copies(problem, _values(problem, pilot))
+    return _advised(copies, request, _rungs(problem, copies.times), progress_bar)
 
 
 def _searched(
-    copies: Copies, asked: Asked, rungs: _Rungs, bar: Any
+    copies: Copies, request: Accuracy, rungs: _Rungs, bar: Any
 ) -> tuple[Search, dict[str, list[Tried]]]:
     """The search among rungs of the stated model, and by method what was judged, of others too."""
-    apart = lambda _, one, other: asked.beside(one, other)
-    question = Question(lambda runs: runs.answers, apart, copies.times)
+    difference = lambda _, one, other: request.error_ratios(one, other)
+    question = Question(lambda runs: runs.answers, difference, copies.times)
     tried: dict[str, list[Tried]] = {}
     for budget in (budget_of(copies.times), MORE * budget_of(copies.times)):
         search = Search(copies.run, question, budget)
         for name, rung in rungs.stated.items():
-            known = len(search.judged)
+            judged_before = len(search.judged)
             search.climb(rung)
-            tried[name] = search.judged[known:]
+            tried[name] = search.judged[judged_before:]
             bar.update(1)
         controlled = [name for name, rung in rungs.stated.items() if rung.controlled]
         if not controlled or any(tried[name] for name in controlled):
@@ -398,39 +398,41 @@ def _searched(
     return search, tried
 
 
-def _advised(copies: Copies, asked: Asked, rungs: _Rungs, progress_bar: bool = False) -> Advice:
+def _advised(
+    copies: Copies, request: Accuracy, rungs: _Rungs, progress_bar: bool = False
+) -> Advice:
     steps = len(rungs.stated) + len(rungs.other)
     with tqdm(total=steps, desc="advice", disable=not progress_bar) as bar:
-        search, tried = _searched(copies, asked, rungs, bar)
-    found = search.best or search.nearest
-    if found is None:
+        search, tried = _searched(copies, request, rungs, bar)
+    best = search.best or search.nearest
+    if best is None:
         raise ValueError(_why_nothing(copies, rungs))
-    for name, answers in found.observed.items():
+    for name, answers in best.observed.items():
         if not np.any(answers):
             raise ValueError(
                 f'response "{name}" is 0 in every copy, which gives an error no measure; add its '
                 "size to it, or leave it out."
             )
-    seen, limit = (search.reference or found).observed, asked.limit(len(copies.values))
+    reference, limit = (search.reference or best).observed, request.limit(len(copies.values))
     shares = lambda errors: {name: limit * error for name, error in errors.items()}
-    off = lambda answers: shares(asked.beside(answers, seen))
-    kept = lambda errors: all(error <= limit for error in errors.values())
+    off = lambda answers: shares(request.error_ratios(answers, reference))
+    are_within_limit = lambda errors: all(error <= limit for error in errors.values())
 
     def trial(name: str, one: Tried) -> Trial:
-        left_out = off(one.observed) if name in rungs.other and one.errors else {}
-        meets = one.error_ratio <= 1 and kept(left_out)
+        omitted = off(one.observed) if name in rungs.other and one.errors else {}
+        meets = one.error_ratio <= 1 and are_within_limit(omitted)
         why = copies.run(one.integrator).failure or ("" if one.errors else "in finer steps.")
-        return Trial(name, one.integrator, one.work, shares(one.errors), left_out, meets, why)
+        return Trial(name, one.integrator, one.work, shares(one.errors), omitted, meets, why)
 
-    trials = {id(one): trial(name, one) for name, own in tried.items() for one in own}
-    own = copies.problem.integrator
-    runs, work = copies.run(own), own.evaluations(copies.problem.mechanism)
+    trials = {id(one): trial(name, one) for name, candidates in tried.items() for one in candidates}
+    integrator = copies.problem.integrator
+    runs, work = copies.run(integrator), integrator.evaluations(copies.problem.mechanism)
     errors = {} if runs.failure else off(runs.answers)
-    meets = not runs.failure and kept(errors)
-    present = Trial(PRESENT, own, round(work * runs.steps), errors, {}, meets, runs.failure)
-    chosen = trials[id(found)]
+    meets = not runs.failure and are_within_limit(errors)
+    present = Trial(PRESENT, integrator, round(work * runs.steps), errors, {}, meets, runs.failure)
+    chosen = trials[id(best)]
     cost = copies.seconds(chosen.integrator) / float(copies.problem.duration)
-    return Advice(copies, asked, rungs, (present, *trials.values()), chosen, cost)
+    return Advice(copies, request, rungs, (present, *trials.values()), chosen, cost)
 
 
 def _rungs(problem: Problem, times: np.ndarray) -> _Rungs:
@@ -439,7 +441,7 @@ def _rungs(problem: Problem, times: np.ndarray) -> _Rungs:
     accepts = lambda integrator: check_run(mechanism, integrator)
     more, other = others_of(mechanism, times, accepts)
     stated = [*rungs_of(mechanism, times, accepts), *more]
-    return _Rungs(*({_method(rung.first): rung for rung in own} for own in (stated, other)))
+    return _Rungs(*({_method(rung.first): rung for rung in rungs} for rungs in (stated, other)))
 
 
 def _method(integrator: Any) -> str:
@@ -464,7 +466,7 @@ def _values(problem: Problem, pilot: PilotSettings) -> np.ndarray:
 def _possible(problem: Problem, values: np.ndarray) -> bool:
     """Whether there is a mechanism of these values, and it can start."""
     mechanism = problem.seen(problem.setting(values))
-    if not all(bool(np.all(inside(leaf, known))) for _, leaf, known in numbers(mechanism)):
+    if not all(bool(np.all(inside(leaf, metadata))) for _, leaf, metadata in numbers(mechanism)):
         return False
     try:
         beginning(mechanism, problem.integrator.formulation, problem.state)
@@ -484,6 +486,6 @@ def _why_nothing(copies: Copies, rungs: _Rungs) -> str:
 
 
 def _checked(accuracy: Any) -> float:
-    wanted = "the accuracy (a share of each response, 0.01 for 1 %)"
-    check_number(wanted, accuracy, above=0, below=1)
+    expected = "the accuracy (a share of each response, 0.01 for 1 %)"
+    check_number(expected, accuracy, above=0, below=1)
     return float(accuracy)

@@ -40,7 +40,7 @@ class Column(NamedTuple):
     label: str = ""
 
     @property
-    def asked(self) -> "Column":
+    def computed(self) -> "Column":
         """With its values known."""
         return self._replace(values=self.values()) if callable(self.values) else self
 
@@ -87,8 +87,8 @@ class AbstractAnswer(AbstractShown):
         """The answer as an xarray Dataset: columns by name with units, sentences, what was asked
         and by what it was computed as attributes."""
         stated = self._stated()
-        said = {"result": self.sentence(), "warnings": " ".join(stated.warned)}
-        return dataset_of(stated, **(said | dict(stated.numbers)))
+        attributes = {"result": self.sentence(), "warnings": " ".join(stated.warned)}
+        return dataset_of(stated, **(attributes | dict(stated.numbers)))
 
     def to_csv(self, path: Any) -> Path:
         """Write a CSV file: a row for each label of the first dimension (a sample, a variable).
@@ -105,11 +105,11 @@ class AbstractAnswer(AbstractShown):
 
 
 def with_interval(
-    name: str, dims: tuple[str, ...], found: Mapping[Any, Any], unit: str = "1"
+    name: str, dims: tuple[str, ...], statistics: Mapping[Any, Any], unit: str = "1"
 ) -> dict[str, Column]:
     """Columns of statistics (`value`, `low`, `high`, `error`) by their labels: the value with its
     error, and in the Dataset the ends of its interval."""
-    read = lambda part: {key: float(getattr(one, part)) for key, one in found.items()}
+    read = lambda part: {key: float(getattr(one, part)) for key, one in statistics.items()}
     ends = {f"{name} {end}": Column(dims, read(end), unit, only=DATASET) for end in ("low", "high")}
     return {name: Column(dims, read("value"), unit, error=read("error"))} | ends
 
@@ -124,16 +124,16 @@ def means_and_deviations(
 ) -> dict[str, Column]:
     """Columns of means and standard deviations of responses, each with its error, which have the
     units of their rows."""
-    told = {"mean": ("mean", means), "standard deviation": ("deviation", deviations)}
-    read = lambda own, part: {name: float(getattr(one, part)) for name, one in own.items()}
+    columns = {"mean": ("mean", means), "standard deviation": ("deviation", deviations)}
+    read = lambda table, part: {name: float(getattr(one, part)) for name, one in table.items()}
     return {
         name: Column(
             (RESPONSE,),
-            read(own, "value"),
-            error=read(own, "error"),
+            read(table, "value"),
+            error=read(table, "error"),
             error_name=f"error of {short} (95 %)",
         )
-        for name, (short, own) in told.items()
+        for name, (short, table) in columns.items()
     }
 
 
@@ -154,17 +154,17 @@ def columns_of(table: Any, dim: str, before: str = "") -> dict[str, Column]:
 def table_of(stated: Stated) -> Any:
     """The table of what is stated."""
     dims = next(iter(stated.columns.values())).dims
-    own = {
-        name: column.asked
+    used_columns = {
+        name: column.computed
         for name, column in stated.columns.items()
         if (column.dims == dims and column.only != DATASET) or name in dims
     }
-    keys = _keys(own, dims)
+    keys = _keys(used_columns, dims)
     columns: dict[str, Any] = {}
     if keys is not None:
         columns |= {dim: [_part(key, i) for key in keys] for i, dim in enumerate(dims)}
-    units, errors = {n: c.unit for n, c in own.items() if n in dims and c.unit}, {}
-    for name, column in own.items():
+    units, errors = {n: c.unit for n, c in used_columns.items() if n in dims and c.unit}, {}
+    for name, column in used_columns.items():
         if name in dims:
             continue
         label = column.label or name
@@ -179,16 +179,16 @@ def table_of(stated: Stated) -> Any:
     return as_table(columns, index=index, units=units, errors=errors)
 
 
-def dataset_of(stated: Stated, **said: Any) -> Any:
-    """The Dataset of what is stated; `said`: more attributes."""
-    every = {n: c.asked for n, c in stated.columns.items() if c.only != TABLE}
+def dataset_of(stated: Stated, **attributes: Any) -> Any:
+    """The Dataset of what is stated; `attributes`: more attributes."""
+    every = {n: c.computed for n, c in stated.columns.items() if c.only != TABLE}
     labels = {n: c for n, c in every.items() if c.dims == (n,)}
     for column in every.values():
         for i, dim in enumerate(column.dims if isinstance(column.values, Mapping) else ()):
             if dim not in every:
-                known = labels[dim].values if dim in labels else []
-                own = dict.fromkeys([*known, *(_part(key, i) for key in column.values)])
-                labels[dim] = Column((dim,), list(own))
+                existing = labels[dim].values if dim in labels else []
+                merged = dict.fromkeys([*existing, *(_part(key, i) for key in column.values)])
+                labels[dim] = Column((dim,), list(merged))
     columns: dict[str, datasets.Column] = {}
     for name, column in every.items():
         if name not in labels:
@@ -196,9 +196,9 @@ def dataset_of(stated: Stated, **said: Any) -> Any:
         if column.error is not None:
             called = datasets.spelt(column.error_name or f"{name} error")
             columns[called] = _variable(column, column.error, labels)
-    coordinates = {dim: _variable(own, own.values, labels) for dim, own in labels.items()}
+    coordinates = {dim: _variable(label, label.values, labels) for dim, label in labels.items()}
     parts = None if stated.problem is None else in_texts(stated.problem)
-    return datasets.dataset(columns, coordinates, what=stated.what, problem=parts, **said)
+    return datasets.dataset(columns, coordinates, what=stated.what, problem=parts, **attributes)
 
 
 def _variable(column: Column, values: Any, labels: Mapping[str, Column]) -> datasets.Column:
@@ -218,8 +218,8 @@ def _keys(columns: Mapping[str, Column], dims: tuple[str, ...]) -> list[Any] | N
     """The labels of the rows of a table, in their order; None where rows are only counted."""
     if all(dim in columns for dim in dims):
         return list(itertools.product(*(columns[dim].values for dim in dims)))
-    known = [own.values for own in columns.values() if isinstance(own.values, Mapping)]
-    return list(dict.fromkeys(key for own in known for key in own)) or None
+    mappings = [column.values for column in columns.values() if isinstance(column.values, Mapping)]
+    return list(dict.fromkeys(key for mapping in mappings for key in mapping)) or None
 
 
 def _in_rows(values: Any, keys: Sequence[Any] | None) -> Any:

@@ -23,59 +23,59 @@ from jaxclear.studies.usual_integrator import usual_integrator
 # hundred such runs take longer than the choice compiles.
 DEAR, UNASKED = 200_000, 0.02
 # A share of every response, or numbers in units by name.
-Wanted = float | tuple[tuple[str, float], ...]
+Goal = float | tuple[tuple[str, float], ...]
 
 
 def chosen_integrator(
-    mechanism: Mechanism, response: Mapping[str, Callable], duration: Any, asked: Wanted, how: How
+    mechanism: Mechanism, response: Mapping[str, Callable], duration: Any, target: Goal, how: How
 ) -> Chosen:
-    """The integrator by which every response of a mechanism is as accurate as is `asked`, a share
+    """The integrator by which every response of a mechanism is as accurate as is `target`, a share
     of its size in the nominal sample or numbers in units by name, at the least work. Raises
     `ValueError` with a sentence for what cannot be chosen."""
-    all_of = lambda run: {name: answer(name, own, run) for name, own in response.items()}
+    all_of = lambda run: {name: answer(name, function, run) for name, function in response.items()}
     drawn = compiled_quickly(all_of, AROUND_A_KERNEL)
 
-    def apart(run: Trajectory, one: dict, other: dict) -> dict[str, float]:
-        wanted = {name: allowed(asked, name) for name in response}
+    def compare(run: Trajectory, one: dict, other: dict) -> dict[str, float]:
+        limits = {name: allowed(target, name) for name in response}
         return {
             name: ratio_to_allowed(
                 abs(one[name] - other[name]), max(most[0], most[1] * abs(one[name]))
             )
-            for name, most in wanted.items()
+            for name, most in limits.items()
             if most is not None
         }
 
-    seen = lambda run: {name: float(np.asarray(x)) for name, x in drawn(run).items()}
-    return chosen_for(mechanism, duration, seen, apart, how)
+    observe = lambda run: {name: float(np.asarray(x)) for name, x in drawn(run).items()}
+    return chosen_for(mechanism, duration, observe, compare, how)
 
 
 def unasked(
     mechanism: Mechanism, response: Mapping[str, Callable], duration: Any, how: How
-) -> tuple[AbstractIntegrator, str, Wanted | None]:
+) -> tuple[AbstractIntegrator, str, Goal | None]:
     """The integrator of a study that asks for none, why, and the accuracy for which it was chosen
     (None: it was not)."""
     usual, why = usual_integrator(mechanism, duration)
     step = usual.asked_step()
     if not why or step is None or duration <= DEAR * step:
         return usual, why, None
-    found = chosen_integrator(mechanism, response, duration, UNASKED, how)
-    return (found.integrator, found.why, UNASKED) if found.reached else (usual, why, None)
+    choice = chosen_integrator(mechanism, response, duration, UNASKED, how)
+    return (choice.integrator, choice.why, UNASKED) if choice.reached else (usual, why, None)
 
 
-def allowed(asked: Wanted, response: str) -> tuple[float, float] | None:
+def allowed(accuracy: Goal, response: str) -> tuple[float, float] | None:
     """The largest error that is asked of a response, in its unit and as a share of its size (the
     larger of the two counts); None: any."""
-    if isinstance(asked, float):
-        return 0.0, asked
-    own = dict(asked).get(response)
-    return None if own is None else (own, 0.0)
+    if isinstance(accuracy, float):
+        return 0.0, accuracy
+    value = dict(accuracy).get(response)
+    return None if value is None else (value, 0.0)
 
 
-def checked_asked(accuracy: Any, response: Mapping[str, Callable]) -> Wanted:
+def required_accuracy(accuracy: Any, response: Mapping[str, Callable]) -> Goal:
     """What a problem is asked of its responses. Raises `ValueError` with a sentence."""
-    asked = checked_accuracy(accuracy, "a Problem")
-    if isinstance(asked, float):
-        return asked
-    for name in asked:
+    checked = checked_accuracy(accuracy, "a Problem")
+    if isinstance(checked, float):
+        return checked
+    for name in checked:
         check_name("response", name, response, " in this problem")
-    return tuple(asked.items())
+    return tuple(checked.items())

@@ -23,8 +23,8 @@ def answered(problem: Problem, responses: Mapping[str, Any]) -> np.ndarray:
     """Whether each sample (samples,) has an answer in each of the responses: a finite number, or an
     infinite one where that is an answer."""
     parts = [
-        ~np.isnan(own) if problem.description.responses[name].infinite else np.isfinite(own)
-        for name, own in responses.items()
+        ~np.isnan(values) if problem.description.responses[name].infinite else np.isfinite(values)
+        for name, values in responses.items()
     ]
     return np.all(parts, axis=0)
 
@@ -35,7 +35,7 @@ def successes(
     """Whether each sample (samples,) reached its end with an answer in each of these responses; and
     the responses, nan in samples that did not: what failed has no number at all."""
     good = (np.asarray(outcome) == Outcome.REACHED) & answered(problem, responses)
-    return good, {name: np.where(good, own, np.nan) for name, own in responses.items()}
+    return good, {name: np.where(good, values, np.nan) for name, values in responses.items()}
 
 
 def why_unanswered(problem: Problem, outcome: Any, ended: Any) -> str:
@@ -47,8 +47,8 @@ def why_unanswered(problem: Problem, outcome: Any, ended: Any) -> str:
 
 def endless_sentences(problem: Problem, responses: Mapping[str, Any]) -> list[str]:
     """A sentence for each response that is infinite in some samples."""
-    told = {name: _words(problem, name, own) for name, own in responses.items()}
-    return [f'"{name}" {words}.' for name, words in told.items() if words]
+    texts = {name: _words(problem, name, values) for name, values in responses.items()}
+    return [f'"{name}" {words}.' for name, words in texts.items() if words]
 
 
 def refuse_endless(
@@ -65,47 +65,47 @@ def refuse_endless(
 def undrawn_levels(problem: Problem, values: np.ndarray) -> dict[str, str]:
     """Variables of a few levels of which runs (runs, variables) have not seen one, and a sentence
     for each: what such a level does is in no share of a variance."""
-    found = {}
+    undrawn = {}
     each = zip(problem.marginals.items(), problem.nominal(), strict=True)
-    for i, ((name, own), nominal) in enumerate(each):
-        if not isinstance(own, Discrete):
+    for i, ((name, law), nominal) in enumerate(each):
+        if not isinstance(law, Discrete):
             continue
-        levels = np.asarray(own.deviations, float)
-        weights = np.ones(len(levels)) if own.shares is None else np.asarray(own.shares, float)
+        levels = np.asarray(law.deviations, float)
+        weights = np.ones(len(levels)) if law.shares is None else np.asarray(law.shares, float)
         shares = weights / weights.sum()
-        seen = np.argmin(np.abs(values[:, i, None] - float(nominal) - levels), axis=1)
-        rare = [k for k in np.flatnonzero(shares) if k not in seen]
+        nearest = np.argmin(np.abs(values[:, i, None] - float(nominal) - levels), axis=1)
+        rare = [k for k in np.flatnonzero(shares) if k not in nearest]
         if rare:
             level, share = float(nominal) + levels[rare[0]], shares[rare[0]]
-            told = f"{level:.6g} {problem.variable_units[i]}".removesuffix(" 1")
-            found[name] = (
-                f'No run has "{name}" = {told}, which {100 * share:.2g} % of the parts have: what '
-                f"that does to the variance is not known. About {RULE_OF_THREE / share:.2g} "
+            level_text = f"{level:.6g} {problem.variable_units[i]}".removesuffix(" 1")
+            undrawn[name] = (
+                f'No run has "{name}" = {level_text}, which {100 * share:.2g} % of the parts have: '
+                f"what that does to the variance is not known. About {RULE_OF_THREE / share:.2g} "
                 "samples would meet it."
             )
-    return found
+    return undrawn
 
 
-def check_told(problem: Problem, name: str, *limits: Any) -> None:
+def check_within_horizon(problem: Problem, name: str, *limits: Any) -> None:
     """Raises `ValueError` for limits beyond what a response is told up to."""
-    known = problem.description.responses[name]
+    info = problem.description.responses[name]
     for limit in limits:
-        if limit is not None and float(limit) > known.horizon:
+        if limit is not None and float(limit) > info.horizon:
             raise ValueError(
                 f'a limit of "{name}" is {float(limit):.6g}, and it is told up to '
-                f"{known.horizon:.6g}: beyond that, {known.infinite}. Ask for more of it, or for "
+                f"{info.horizon:.6g}: beyond that, {info.infinite}. Ask for more of it, or for "
                 "a limit that is not beyond."
             )
 
 
-def finite_beside(values: np.ndarray, *limits: Any) -> np.ndarray:
+def replace_infinite(values: np.ndarray, *limits: Any) -> np.ndarray:
     """Values with a finite number, beyond all others and these limits, in place of those that are
     infinite: what only asks on which side of a limit they lie sees no difference."""
     if not np.isinf(values).any():
         return values
-    beside = [float(limit) for limit in limits if limit is not None]
-    known = np.append(values[np.isfinite(values)], beside)
-    low, high = (float(known.min()), float(known.max())) if len(known) else (0.0, 0.0)
+    bounds = [float(limit) for limit in limits if limit is not None]
+    finite = np.append(values[np.isfinite(values)], bounds)
+    low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 0.0)
     aside = (high - low) or abs(high) or 1.0
     return np.where(np.isinf(values), np.where(values > 0, high + aside, low - aside), values)
 
@@ -114,7 +114,7 @@ def bounded(problem: Problem, name: str, values: np.ndarray, levels: Sequence[An
     """Values for a surface: where they are infinite, what a response is told up to, or, where that
     has no end, beyond all others and the `levels` that limits hold them against."""
     most = problem.description.responses[name].horizon
-    return np.minimum(values, most) if np.isfinite(most) else finite_beside(values, *levels)
+    return np.minimum(values, most) if np.isfinite(most) else replace_infinite(values, *levels)
 
 
 def _words(problem: Problem, name: str, values: Any) -> str:

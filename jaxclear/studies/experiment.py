@@ -45,7 +45,7 @@ class SampleResult(eqx.Module):
         """Of samples (samples,) the responses by name, nan in those whose run did not reach its
         end."""
         reached = np.asarray(self.outcome) == Outcome.REACHED
-        return {name: np.where(reached, own, np.nan) for name, own in self.responses.items()}
+        return {name: np.where(reached, values, np.nan) for name, values in self.responses.items()}
 
 
 class AbstractVariable(AbstractQuantified):
@@ -58,8 +58,8 @@ class AbstractVariable(AbstractQuantified):
     @property
     def parts(self) -> tuple[str, ...]:
         """Names of the numbers of a variable of several; () for one number."""
-        own = self.distribution
-        return own.parts if isinstance(own, AbstractJointDistribution) else ()
+        distribution = self.distribution
+        return distribution.parts if isinstance(distribution, AbstractJointDistribution) else ()
 
     @abstractmethod
     def nominal_in(self, subject: Any) -> Any:
@@ -198,8 +198,8 @@ class ResponseInfo(NamedTuple):
 
 def how_it_ended(outcome: Any) -> str:
     """The sentence of an outcome, as the rest of a sentence."""
-    said = Outcome(int(outcome)).sentence
-    return f"{said[0].lower()}{said[1:]}"
+    sentence = Outcome(int(outcome)).sentence
+    return f"{sentence[0].lower()}{sentence[1:]}"
 
 
 class Description(NamedTuple):
@@ -303,8 +303,8 @@ class AbstractExperiment(AbstractQuantified):
 
     def parts(self) -> dict[str, Any]:
         """All that tells it from another of its kind, by name."""
-        told = [own.name for own in dataclasses.fields(self) if not own.metadata.get("derived")]
-        return {name: getattr(self, name) for name in told}
+        names = [f.name for f in dataclasses.fields(self) if not f.metadata.get("derived")]
+        return {name: getattr(self, name) for name in names}
 
 
 def one_distribution(owner: str, distribution: Any, tolerance: Any) -> Any:
@@ -327,8 +327,8 @@ def check_names_differ(responses: Iterable[str], variables: Iterable[str]) -> No
 
 @eqx.filter_jit
 def _mapped(function: Callable[[Any], Any], setting: Any, values: Any) -> Any:
-    setting_of = lambda own: eqx.tree_at(lambda one: one.values, setting, own)
-    return jax.vmap(lambda own: function(setting_of(own)))(values)
+    setting_of = lambda row: eqx.tree_at(lambda one: one.values, setting, row)
+    return jax.vmap(lambda row: function(setting_of(row)))(values)
 
 
 def sample_of_chunk(
@@ -339,5 +339,5 @@ def sample_of_chunk(
     between copies of itself.
     """
     with stoppable():
-        found = _mapped(function, setting, jnp.tile(setting.values, (chunk, 1)))
-        return jax.tree.map(lambda leaf: leaf[index % chunk], jax.block_until_ready(found))
+        results = _mapped(function, setting, jnp.tile(setting.values, (chunk, 1)))
+        return jax.tree.map(lambda leaf: leaf[index % chunk], jax.block_until_ready(results))

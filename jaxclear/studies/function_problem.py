@@ -125,9 +125,9 @@ class FunctionExperiment(AbstractExperiment):
     def __init__(self, function: Callable[..., Any], variables: dict[str, Dimension], units: Any):
         self.function = function
         at = {name: variable.nominal_in(None) for name, variable in variables.items()}
-        found = _traced(function, at)
-        self.response_names = tuple(name for name, own in found.items() if not own.shape)
-        self.series_names = tuple(name for name, own in found.items() if own.shape)
+        shapes = _traced(function, at)
+        self.response_names = tuple(name for name, shape in shapes.items() if not shape.shape)
+        self.series_names = tuple(name for name, shape in shapes.items() if shape.shape)
         every = (*self.response_names, *self.series_names)
         check_names_differ(every, variables)
         of_variables = tuple(variable.unit for variable in variables.values())
@@ -136,10 +136,10 @@ class FunctionExperiment(AbstractExperiment):
         self.undifferentiated = _undifferentiated(function, at)
 
     def evaluate(self, setting, *, discrete_derivatives=False):
-        found = self.answers(setting)
-        finite = jnp.all(jnp.isfinite(jnp.concatenate([jnp.ravel(x) for x in found.values()])))
+        answers = self.answers(setting)
+        finite = jnp.all(jnp.isfinite(jnp.concatenate([jnp.ravel(x) for x in answers.values()])))
         outcome = jnp.where(finite, Outcome.REACHED, Outcome.NOT_FINITE)
-        numbers = {name: found[name] for name in self.response_names}
+        numbers = {name: answers[name] for name in self.response_names}
         return SampleResult(numbers, outcome, jnp.zeros(()))
 
     def answers(self, setting: Setting) -> dict[str, Array]:
@@ -155,14 +155,14 @@ class FunctionExperiment(AbstractExperiment):
 
     def describe(self):
         every = (*self.response_names, *self.series_names)
-        known = zip(every, map(ResponseInfo, self.response_units), strict=True)
+        pairs = zip(every, map(ResponseInfo, self.response_units), strict=True)
         endings = {
             Outcome.REACHED: "the function gave its numbers.",
             Outcome.NOT_FINITE: "a number that the function gives is not finite.",
         }
         title = f"FunctionProblem of {described(self.function)}"
         derivative = self.undifferentiated, ""
-        return Description(title, dict(known), endings, derivative=derivative)
+        return Description(title, dict(pairs), endings, derivative=derivative)
 
 
 @answering
@@ -200,10 +200,10 @@ def FunctionProblem(
     for name, variable in variables.items():
         expect(name, str, "a name in variables of a FunctionProblem", "a text")
         expect(variable, Dimension, f'variable "{name}"', "a jaxclear.Dimension")
-    known = dict(variables)
-    correlation = correlation_matrix(correlation, tuple(known))
-    _check_names(function, tuple(known))
-    return Problem.of(FunctionExperiment(function, known, units), known, correlation)
+    by_name = dict(variables)
+    correlation = correlation_matrix(correlation, tuple(by_name))
+    _check_names(function, tuple(by_name))
+    return Problem.of(FunctionExperiment(function, by_name, units), by_name, correlation)
 
 
 def _check_names(function: Callable[..., Any], names: tuple[str, ...]) -> None:
@@ -222,12 +222,12 @@ def _check_names(function: Callable[..., Any], names: tuple[str, ...]) -> None:
         ) from error
 
 
-def _by_name(given: Any) -> dict[str, Array]:
+def _by_name(values: Any) -> dict[str, Array]:
     """What a function returns, as numbers by name."""
-    found = given if isinstance(given, Mapping) else {ALONE: given}
-    if not found:
+    mapping = values if isinstance(values, Mapping) else {ALONE: values}
+    if not mapping:
         raise ValueError("the function of a FunctionProblem returns no number; it must return one.")
-    for name, value in found.items():
+    for name, value in mapping.items():
         expect(name, str, "a name in what the function of a FunctionProblem returns", "a text")
         if not is_one_number(value) and not _is_series(value):
             hint = " It returns nothing: is a `return` missing?" if value is None else ""
@@ -236,7 +236,7 @@ def _by_name(given: Any) -> dict[str, Array]:
                 f"the function of a FunctionProblem {what} {described(value)}; it must be one "
                 f"number, or a dictionary of numbers (or series of them, one axis) by name.{hint}"
             )
-    return {name: jnp.asarray(value, float) for name, value in found.items()}
+    return {name: jnp.asarray(value, float) for name, value in mapping.items()}
 
 
 def _is_series(value: Any) -> bool:
@@ -250,25 +250,25 @@ def _traced(function: Callable[..., Any], at: dict[str, Any]) -> dict[str, Any]:
     order: list[str] = []
 
     def in_order(at):
-        found = _by_name(call_user("the function of a FunctionProblem", lambda: function(**at)))
-        order.extend(found)
-        return found
+        mapping = _by_name(call_user("the function of a FunctionProblem", lambda: function(**at)))
+        order.extend(mapping)
+        return mapping
 
-    found = shape_of(in_order, at)
-    return {name: found[name] for name in order}
+    shapes = shape_of(in_order, at)
+    return {name: shapes[name] for name in order}
 
 
-def _units(given: Any, responses: tuple[str, ...], variables: tuple[str, ...]) -> tuple[str, ...]:
+def _units(units: Any, responses: tuple[str, ...], variables: tuple[str, ...]) -> tuple[str, ...]:
     """Unit of each response."""
-    if given is None:
+    if units is None:
         return (variables[0] if len(set(variables)) == 1 else "1",) * len(responses)
-    if isinstance(given, str):
-        return (given,) * len(responses)
-    expect(given, Mapping, "units of a FunctionProblem", "a text, or a dictionary from responses")
-    for name, unit in given.items():
+    if isinstance(units, str):
+        return (units,) * len(responses)
+    expect(units, Mapping, "units of a FunctionProblem", "a text, or a dictionary from responses")
+    for name, unit in units.items():
         check_name("response", name, responses, " in what the function returns")
         expect(unit, str, f'unit of response "{name}"', 'a text, such as "m"')
-    return tuple(given.get(name, "1") for name in responses)
+    return tuple(units.get(name, "1") for name in responses)
 
 
 def _memory(function: Callable[..., Any], at: dict[str, Any]) -> int:

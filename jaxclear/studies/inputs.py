@@ -17,7 +17,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxclear.ground import array_functions as xp
 from jaxclear.ground.arguments import check_name, check_number
+from jaxclear.ground.array_functions import on_host
 from jaxclear.ground.quantity import is_traced
 from jaxclear.ground.wording import described
 from jaxclear.studies.distribution import AbstractDistribution, AbstractJointDistribution
@@ -52,40 +54,48 @@ class Inputs(eqx.Module):
         """Whether no two variables are correlated."""
         return self.correlation is None
 
-    def values(self, normal: Float[Array, "... variables"]) -> Float[Array, "... variables"]:
+    def values(
+        self, normal: Float[Array | np.ndarray, "... variables"]
+    ) -> Float[Array, "... variables"]:
         """Values of the variables from independent standard normal numbers [1]."""
         return self.of_scores(self.scores(normal))
 
-    def normal(self, values: Float[Array, "... variables"]) -> Float[Array, "... variables"]:
+    def normal(
+        self, values: Float[Array | np.ndarray, "... variables"]
+    ) -> Float[Array, "... variables"]:
         """Independent standard normal numbers [1] that give these values; for a discrete variable
         the middle of what gives its value."""
         deviations = (values - self.nominal) / self.widths
         scores = self._each(deviations, "score", "scores")
         return scores if self.inverse_root is None else scores @ self.inverse_root.T
 
-    def scores(self, normal: Float[Array, "... variables"]) -> Float[Array, "... variables"]:
+    def scores(
+        self, normal: Float[Array | np.ndarray, "... variables"]
+    ) -> Float[Array | np.ndarray, "... variables"]:
         """Correlated standard normal scores [1] from independent ones."""
         return normal if self.root is None else normal @ self.root.T
 
-    def of_scores(self, scores: Float[Array, "... variables"]) -> Float[Array, "... variables"]:
+    def of_scores(
+        self, scores: Float[Array | np.ndarray, "... variables"]
+    ) -> Float[Array, "... variables"]:
         """Values of the variables from their own scores [1]."""
         return self.nominal + self.widths * self._each(scores, "of_score", "of_scores")
 
     def _each(self, numbers: Any, alone: str, together: str) -> Any:
         """What methods of these names make of numbers (..., variables): one of the distribution of
         a single number, one of that of several."""
-        found: dict[int, Any] = {}
-        for first, own in self.joints:
-            some = getattr(own, together)(numbers[..., first : first + len(own.parts)])
-            found |= {first + i: some[..., i] for i in range(len(own.parts))}
+        parts: dict[int, Any] = {}
+        for first, joint_law in self.joints:
+            some = getattr(joint_law, together)(numbers[..., first : first + len(joint_law.parts)])
+            parts |= {first + i: some[..., i] for i in range(len(joint_law.parts))}
         for i, distribution in enumerate(self.distributions):
-            if i not in found:
-                found[i] = getattr(distribution, alone)(numbers[..., i])
-        return jnp.stack([found[i] for i in range(len(found))], axis=-1)
+            if i not in parts:
+                parts[i] = getattr(distribution, alone)(numbers[..., i])
+        return xp.stack([parts[i] for i in range(len(parts))], axis=-1)
 
     def deviations(self) -> Float[Array, " variables"]:
         """Standard deviation of each variable [its unit]."""
-        return self.widths * jnp.stack([jnp.asarray(d.deviation()) for d in self.distributions])
+        return self.widths * xp.stack([d.deviation() for d in self.distributions])
 
 
 def joint(
@@ -97,38 +107,31 @@ def joint(
     """The joint distribution of numbers with these names and nominal values; each of the
     distributions is that of one of them, or of several in a row."""
     alone, joints = list[AbstractDistribution](), list[Any]()
-    for own in distributions:
-        joints += [(len(alone), own)] if isinstance(own, AbstractJointDistribution) else []
-        alone += marginals_of(own)
+    for law in distributions:
+        joints += [(len(alone), law)] if isinstance(law, AbstractJointDistribution) else []
+        alone += marginals_of(law)
     root = inverse = None
     if correlation is not None:
         library = jnp if is_traced(correlation) else np
-        lower = library.linalg.cholesky(correlation)
-        root, inverse = jnp.asarray(lower), jnp.asarray(library.linalg.inv(lower))
-    return Inputs(
-        tuple(names),
-        tuple(alone),
-        jnp.asarray(nominal),
-        jnp.ones(len(names)),
-        correlation,
-        root,
-        inverse,
-        tuple(joints),
-    )
+        root = library.linalg.cholesky(correlation)
+        inverse = library.linalg.inv(root)
+    widths, matrices = np.ones(len(names)), (correlation, root, inverse)
+    numbers = on_host((tuple(alone), jnp.asarray(nominal), widths, *matrices, tuple(joints)))
+    return Inputs(tuple(names), *numbers)
 
 
 def correlation_matrix(
-    given: Any, names: Sequence[str]
+    correlation: Any, names: Sequence[str]
 ) -> Float[Array, "variables variables"] | None:
     """Correlation matrix of the variables' normal scores from what a user gives: None, a matrix in
     the order of the variables, or {("first", "second"): coefficient}. Raises `ValueError` with a
     sentence for names that there are not, and for what no variables can have."""
-    if given is None:
+    if correlation is None:
         return None
     count = len(names)
     matrix = np.eye(count)
-    if isinstance(given, Mapping):
-        for pair, value in given.items():
+    if isinstance(correlation, Mapping):
+        for pair, value in correlation.items():
             if not isinstance(pair, tuple) or len(pair) != 2 or pair[0] == pair[1]:
                 raise ValueError(
                     f"correlation of a Problem has the key {described(pair)}; it must be a pair of "
@@ -141,7 +144,7 @@ def correlation_matrix(
             i, j = (list(names).index(name) for name in pair)
             matrix[i, j] = matrix[j, i] = float(value)
     else:
-        matrix = _square(given, count)
+        matrix = _square(correlation, count)
     if np.linalg.eigvalsh(matrix)[0] < LEAST_EIGENVALUE:
         raise ValueError(
             "correlation of a Problem is one that no numbers can have: its matrix is not positive "
@@ -150,16 +153,16 @@ def correlation_matrix(
     return None if np.array_equal(matrix, np.eye(count)) else jnp.asarray(matrix)
 
 
-def _square(given: Any, count: int) -> np.ndarray:
+def _square(values: Any, count: int) -> np.ndarray:
     """A matrix as given, if it is one of correlations."""
     try:
-        matrix = np.asarray(given, float)
+        matrix = np.asarray(values, float)
     except (TypeError, ValueError):
         matrix = np.zeros(0)
     symmetric = matrix.shape == (count, count) and np.allclose(matrix, matrix.T)
     if not symmetric or not np.allclose(np.diag(matrix), 1.0):
         raise ValueError(
-            f"correlation of a Problem is {described(given)}; it must be a symmetric matrix with "
+            f"correlation of a Problem is {described(values)}; it must be a symmetric matrix with "
             f"ones on its diagonal, {count} by {count}, or a dictionary from pairs of names."
         )
     return matrix

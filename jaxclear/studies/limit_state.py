@@ -54,7 +54,7 @@ class AbstractLimitState(AbstractQuantified):
             Margin of each limit in its response's unit, shape (limits,), negative where it is
             exceeded.
         """
-        return jnp.stack([own.margin(responses) for own in self.limits()])
+        return jnp.stack([limit.margin(responses) for limit in self.limits()])
 
 
 class AbstractThreshold(AbstractLimitState):
@@ -143,7 +143,7 @@ class Series(AbstractLimitState):
         return _limits(self.parts)
 
     def cut_sets(self):
-        return _least([cut for own in _numbered(self.parts) for cut in own])
+        return _least([cut for cuts in _numbered(self.parts) for cut in cuts])
 
     def words(self):
         return " or ".join(_in_brackets(part) for part in self.parts)
@@ -168,14 +168,14 @@ class Parallel(AbstractLimitState):
         return _limits(self.parts)
 
     def cut_sets(self):
-        found: list[frozenset[int]] = [frozenset()]
-        for own in _numbered(self.parts):
-            found = list(_least([one | cut for one in found for cut in own]))
-            if len(found) > MOST_CUTS:
+        cuts: list[frozenset[int]] = [frozenset()]
+        for part_cuts in _numbered(self.parts):
+            cuts = list(_least([one | cut for one in cuts for cut in part_cuts]))
+            if len(cuts) > MOST_CUTS:
                 raise ValueError(
                     f"this system fails in more than {MOST_CUTS} ways; put fewer parts together."
                 )
-        return tuple(found)
+        return tuple(cuts)
 
     def words(self):
         return " and ".join(_in_brackets(part) for part in self.parts)
@@ -194,9 +194,9 @@ def check_limit(limit: Any, response_names: tuple[str, ...], owner: str) -> None
         f"limit of {owner}",
         'a limit state, such as jaxclear.limit_state.Above("name of a response", threshold)',
     )
-    for own in limit.limits():
-        if own.response not in response_names:
-            raise ValueError(unknown("response", own.response, response_names, " in this problem"))
+    for part in limit.limits():
+        if part.response not in response_names:
+            raise ValueError(unknown("response", part.response, response_names, " in this problem"))
 
 
 def _checked(kind: str, parts: tuple[Any, ...]) -> tuple[Any, ...]:
@@ -217,11 +217,11 @@ def _limits(parts: tuple[Any, ...]) -> tuple[Any, ...]:
 
 def _numbered(parts: tuple[Any, ...]) -> list[tuple[frozenset[int], ...]]:
     """The cut sets of each part, in the places that its limits have among those of all."""
-    found, first = [], 0
+    numbered, first = [], 0
     for part in parts:
-        found.append(tuple(frozenset(i + first for i in cut) for cut in part.cut_sets()))
+        numbered.append(tuple(frozenset(i + first for i in cut) for cut in part.cut_sets()))
         first += len(part.limits())
-    return found
+    return numbered
 
 
 def _least(cuts: list[frozenset[int]]) -> tuple[frozenset[int], ...]:

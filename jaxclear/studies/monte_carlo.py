@@ -22,12 +22,17 @@ from jaxclear.studies.answer import (
     Column,
     Stated,
 )
-from jaxclear.studies.endless import check_told, endless_sentences, refuse_endless, successes
+from jaxclear.studies.endless import (
+    check_within_horizon,
+    endless_sentences,
+    refuse_endless,
+    successes,
+)
 from jaxclear.studies.problem import Problem
 from jaxclear.studies.replicas import Replicas, numerical_error, replicas_of, unverified
 from jaxclear.studies.sampling import Drawing, check_sampled, checked_scramblings, groups
 from jaxclear.studies.sequential import FIRST_SAMPLES, Grown, first_of, until_accurate
-from jaxclear.studies.statistics.accuracy import NumericalError, asked_of
+from jaxclear.studies.statistics.accuracy import NumericalError, parse_accuracy
 from jaxclear.studies.statistics.limits import (
     SIDES,
     Limits,
@@ -113,8 +118,8 @@ class MonteCarlo(AbstractAnswer):
         """Indices of the samples that carry a warning which concerns this response (peak forces
         that the steps do not resolve concern no position)."""
         check_name("response", response, self.responses, " in this study")
-        found = warned_of(self.problem, response, self.checks, self.count)
-        return np.setdiff1d(np.flatnonzero(found), self.failed)
+        codes = warned_of(self.problem, response, self.checks, self.count)
+        return np.setdiff1d(np.flatnonzero(codes), self.failed)
 
     @property
     def count(self) -> int:
@@ -129,8 +134,8 @@ class MonteCarlo(AbstractAnswer):
 
     def doubts_of(self, *responses: str) -> tuple[str, ...]:
         """The `doubts` that concern these responses."""
-        told = () if self.replicas is None else self.replicas.doubts(self.problem, *responses)
-        return (*told, *self.problem.description.warnings)
+        doubts = () if self.replicas is None else self.replicas.doubts(self.problem, *responses)
+        return (*doubts, *self.problem.description.warnings)
 
     def numerical_error(
         self, response: str, statistic: Callable[[np.ndarray], float] = np.mean
@@ -151,7 +156,7 @@ class MonteCarlo(AbstractAnswer):
         text = f"{self.count} samples, {len(self.failed)} failed, {len(self.warned)} with warnings"
         counts = counted(self.checks, np.isin(np.arange(self.count), self.warned))
         text = f"{text} ({in_words(counts)})." if counts else f"{text}."
-        told = (
+        sentences = (
             text,
             *self.doubts,
             unverified(self.problem, self.replicas),
@@ -159,12 +164,12 @@ class MonteCarlo(AbstractAnswer):
             self.unreached,
             self.problem.description.remark,
         )
-        return " ".join(filter(None, told))
+        return " ".join(filter(None, sentences))
 
     def _shown(self):
-        lost = [f"The first that failed: {failure(self, int(i))}" for i in self.failed[:1]]
+        failures = [f"The first that failed: {failure(self, int(i))}" for i in self.failed[:1]]
         summary = self.summary()
-        return self.sentence(), *lost, *spread_of(summary), *remarks_of(self, summary)
+        return self.sentence(), *failures, *spread_of(summary), *remarks_of(self, summary)
 
     def _stated(self):
         problem, over = self.problem, ("sample",)
@@ -188,7 +193,7 @@ class MonteCarlo(AbstractAnswer):
             worst = np.asarray(figure.worst).reshape(self.count, -1).max(axis=1)
             meaning = f"worst figure of this check, whose limit is {check.limit:g}"
             data[f"check {check.name.lower()}"] = Column(over, worst, "1", meaning)
-        columns |= {name: own._replace(only=DATASET) for name, own in data.items()}
+        columns |= {name: column._replace(only=DATASET) for name, column in data.items()}
         if self.replicas is not None:
             for n, values in self.replicas.responses.items():
                 columns[finer_name(n)] = Column(("replica",), values, units[n], FINER)
@@ -200,8 +205,8 @@ class MonteCarlo(AbstractAnswer):
     def good(self, response: str) -> tuple[np.ndarray, np.ndarray]:
         """A response of the samples that did not fail, and their scramblings."""
         check_name("response", response, self.responses, " in this study")
-        kept = np.setdiff1d(np.arange(self.count), self.failed)
-        return self.responses[response][kept], self.scrambling[kept]
+        indices = np.setdiff1d(np.arange(self.count), self.failed)
+        return self.responses[response][indices], self.scrambling[indices]
 
     def statistic(self, function: Callable[[np.ndarray], float], response: str) -> Statistic:
         """Any smooth function of a sample (samples,), such as `scipy.stats.skew`, with its error.
@@ -237,7 +242,7 @@ class MonteCarlo(AbstractAnswer):
         at its lower end, inside at its upper."""
         check_limits(limits, self.responses)
         for name, pair in limits.items():
-            check_told(self.problem, name, *pair)
+            check_within_horizon(self.problem, name, *pair)
         return yield_of(self.responses, limits, self.failed, self.scrambling)
 
     def process_capability(self, response: str, limits: Limits) -> Statistic:
@@ -342,8 +347,8 @@ def monte_carlo(
     check_flags("monte_carlo", verify=verify, progress_bar=progress_bar)
     if chunk is not None:
         check_count("chunk of monte_carlo", chunk)
-    asked = asked_of(accuracy, problem.response_names)
-    first = samples if asked is None else min(samples, FIRST_SAMPLES)
+    request = parse_accuracy(accuracy, problem.response_names)
+    first = samples if request is None else min(samples, FIRST_SAMPLES)
     parts = checked_scramblings("monte_carlo", first, scramblings)
     chunk = chunk_size(problem, first, chunk)
     run = lambda values: evaluate_all(
@@ -351,24 +356,24 @@ def monte_carlo(
     )
     drawing = Drawing(problem, seed, sampling, parts)
     sample, short = Grown(drawing, run, chunk), ""
-    if asked is None:
+    if request is None:
         sample.to(samples)
     else:
 
         def grown(count):
             sample.to(count)
-            return [(sample.found.reached_responses(), groups(count, parts))]
+            return [(sample.result.reached_responses(), groups(count, parts))]
 
-        short = until_accurate(problem, first_of(first, parts), samples, asked, grown)
-    found, values, reached = sample.found, sample.values, sample.found.reached_responses()
-    ends = (np.asarray(found.outcome), np.asarray(found.ended))
-    told = (
+        short = until_accurate(problem, first_of(first, parts), samples, request, grown)
+    result, values, reached = sample.result, sample.values, sample.result.reached_responses()
+    ends = (np.asarray(result.outcome), np.asarray(result.ended))
+    arguments = (
         {name: reached[name] for name in problem.response_names},
         *ends,
         seed,
         chunk,
-        found.checks,
+        result.checks,
         groups(len(values), parts),
     )
-    replicas = replicas_of(problem, values, found, chunk, progress_bar) if verify else None
-    return MonteCarlo(problem, values, *told, short, replicas)
+    replicas = replicas_of(problem, values, result, chunk, progress_bar) if verify else None
+    return MonteCarlo(problem, values, *arguments, short, replicas)

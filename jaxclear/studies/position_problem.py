@@ -93,14 +93,14 @@ class PositionExperiment(AbstractExperiment):
         return self._at(setting(self.mechanism))
 
     def evaluate(self, setting, *, discrete_derivatives=False):
-        found = self._positions(setting)
-        ok = jnp.all(found.found)
-        if found.other is not None:
-            ok &= jnp.all(found.other.found)
+        positions = self._positions(setting)
+        ok = jnp.all(positions.found)
+        if positions.other is not None:
+            ok &= jnp.all(positions.other.found)
         outcome = jnp.where(ok, Outcome.REACHED, Outcome.UNASSEMBLED)
-        possible = in_range(found.scene.mechanism, found.scene.gaps)
+        possible = in_range(positions.scene.mechanism, positions.scene.gaps)
         outcome = jnp.where(possible, outcome, Outcome.OUT_OF_RANGE)
-        return SampleResult(answers(self.response, found), outcome, jnp.zeros(()))
+        return SampleResult(answers(self.response, positions), outcome, jnp.zeros(()))
 
     def cost(self):
         return Cost(8 * NUMBERS * len(self.position), LARGEST_CHUNK, cheap=True)
@@ -111,8 +111,8 @@ class PositionExperiment(AbstractExperiment):
 
     def describe(self):
         many = len(self.position)
-        known = {
-            name: ResponseInfo(unit_of(own, self.mechanism)) for name, own in self.response.items()
+        responses = {
+            name: ResponseInfo(unit_of(f, self.mechanism)) for name, f in self.response.items()
         }
         endings = {
             Outcome.REACHED: "the mechanism stands at every position.",
@@ -122,7 +122,7 @@ class PositionExperiment(AbstractExperiment):
             ),
         }
         places = f"{many} position{'s' if many > 1 else ''} of {listed(self.drives)}"
-        return Description(f"PositionProblem at {places}".rstrip(), known, endings)
+        return Description(f"PositionProblem at {places}".rstrip(), responses, endings)
 
 
 @answering
@@ -154,8 +154,8 @@ def PositionProblem(
     check_double_precision()
     mechanism = with_quantities(mechanism)
     of = "a mechanism over positions"
-    wanted, varied = checked_question(mechanism, response, variables, "PositionProblem", of)
+    responses, varied = checked_question(mechanism, response, variables, "PositionProblem", of)
     correlation = correlation_matrix(correlation, tuple(varied))
     check_flags("PositionProblem", reverse_loads=reverse_loads)
-    experiment = PositionExperiment(mechanism, wanted, positions, reverse_loads)
+    experiment = PositionExperiment(mechanism, responses, positions, reverse_loads)
     return Problem.of(experiment, varied, correlation)

@@ -14,7 +14,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxclear.ground import array_functions as xp
 from jaxclear.ground.arguments import expect
+from jaxclear.ground.array_functions import on_host
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.printing import in_a_line, number_in_words
 from jaxclear.ground.quantity import AbstractQuantified, with_quantities
@@ -89,9 +91,9 @@ class Problem(AbstractQuantified):
     ):
         check_double_precision()
         mechanism = with_quantities(mechanism)
-        wanted, varied = checked_question(mechanism, response, variables, "Problem", "a trajectory")
+        named, varied = checked_question(mechanism, response, variables, "Problem", "a trajectory")
         correlation = correlation_matrix(correlation, tuple(varied))
-        run = RunExperiment(mechanism, wanted, duration, integrator, accuracy, save, state)
+        run = RunExperiment(mechanism, named, duration, integrator, accuracy, save, state)
         for name, value in _fields(run, varied, correlation).items():
             setattr(self, name, value)
 
@@ -132,22 +134,22 @@ class Problem(AbstractQuantified):
         """How it is asked, the responses and the variables with their units."""
         description = self.description
         lines = [description.title, "responses"]
-        lines += [f"  {name} [{own.unit}]" for name, own in description.responses.items()]
+        lines += [f"  {name} [{info.unit}]" for name, info in description.responses.items()]
         lines += ["variables"] if self.names else []
         nominal = self.nominal()
         for name, columns in self.groups.items():
             spread, unit = in_a_line(self.variables[name].distribution), self.variable_units
-            own = "" if unit[columns[0]] == "1" else f" {unit[columns[0]]}"
+            suffix = "" if unit[columns[0]] == "1" else f" {unit[columns[0]]}"
             values = ", ".join(number_in_words(nominal[i]) for i in columns)
-            lines.append(f"  {name} {values}{own}, {spread}")
+            lines.append(f"  {name} {values}{suffix}, {spread}")
         return "\n".join(lines if self.correlation is None else [*lines, "correlated"])
 
     @property
     def inputs(self) -> Inputs:
         """The joint distribution of the variables: `values(normal)` from independent standard
         normal numbers, and `normal(values)`."""
-        own = [self.variables[name].distribution for name in self.variable_names]
-        return joint(self.names, own, self.nominal(), self.correlation)
+        distributions = [self.variables[name].distribution for name in self.variable_names]
+        return joint(self.names, distributions, self.nominal(), self.correlation)
 
     @property
     def marginals(self) -> dict[str, AbstractDistribution]:
@@ -157,12 +159,12 @@ class Problem(AbstractQuantified):
     @property
     def groups(self) -> dict[str, range]:
         """The places in `names` of the numbers of each variable, by its name: one of most."""
-        found, first = {}, 0
+        groups, first = {}, 0
         for name in self.variable_names:
             count = max(len(self.variables[name].parts), 1)
-            found[name] = range(first, first + count)
+            groups[name] = range(first, first + count)
             first += count
-        return found
+        return groups
 
     @functools.cached_property
     def description(self) -> Description:
@@ -171,7 +173,7 @@ class Problem(AbstractQuantified):
 
     def units(self) -> dict[str, str]:
         """Unit of each response."""
-        return {name: own.unit for name, own in self.description.responses.items()}
+        return {name: info.unit for name, info in self.description.responses.items()}
 
     def cost(self) -> Cost:
         """What a sample costs."""
@@ -182,8 +184,8 @@ class Problem(AbstractQuantified):
         subject = self.experiment.subject
         numbers = [self.variables[name].nominal_in(subject) for name in self.variable_names]
         if len(self.names) > len(numbers):
-            return jnp.concatenate([jnp.atleast_1d(own) for own in numbers])
-        return jnp.stack(numbers) if numbers else jnp.zeros(0)
+            return jnp.concatenate([jnp.atleast_1d(number) for number in numbers])
+        return jnp.asarray(xp.stack(on_host(numbers))) if numbers else jnp.zeros(0)
 
     def setting(self, values: Any) -> Setting:
         """The variables at these values.
@@ -191,8 +193,8 @@ class Problem(AbstractQuantified):
         Args:
             values: one number for each variable, in their order, (variables,) [their units].
         """
-        own = tuple(self.variables[name] for name in self.variable_names)
-        return Setting(self.variable_names, own, jnp.asarray(values))
+        variables = tuple(self.variables[name] for name in self.variable_names)
+        return Setting(self.variable_names, variables, jnp.asarray(values))
 
     def with_values(self, values: Any) -> Any:
         """The mechanism, or the dictionary of numbers, with the variables at these values.
@@ -248,8 +250,8 @@ class Problem(AbstractQuantified):
         Args:
             experiment: an `AbstractExperiment` of the same subject.
         """
-        own = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
-        return _made(own | {"experiment": experiment})
+        fields = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        return _made(fields | {"experiment": experiment})
 
     def with_integrator(self, integrator: AbstractIntegrator) -> "Problem":
         """The same question of runs by another integrator.
@@ -262,10 +264,10 @@ class Problem(AbstractQuantified):
 
     def parts(self) -> dict[str, Any]:
         """All that tells this problem from another, by name, but for the distributions."""
-        own, subject = self.experiment.parts(), self.experiment.subject
+        parts, subject = self.experiment.parts(), self.experiment.subject
         for name in self.variable_names:
-            own |= self.variables[name].told(name, subject)
-        return own
+            parts |= self.variables[name].told(name, subject)
+        return parts
 
     def check_values(self, values: Any) -> None:
         """Raises `ValueError` where these are not one number for each variable.
@@ -290,14 +292,14 @@ def _fields(
     """The fields of a problem by name. Raises `ValueError` where two numbers have one name, or one
     of several is correlated with another variable."""
     columns = {
-        name: [f"{name} {part}" for part in own.parts] or [name] for name, own in variables.items()
+        name: [f"{name} {part}" for part in v.parts] or [name] for name, v in variables.items()
     }
-    names = tuple(name for own in columns.values() for name in own)
+    names = tuple(name for v in columns.values() for name in v)
     twice = [name for name in names if names.count(name) > 1 or len(columns.get(name, "")) > 1]
     if twice:
         raise ValueError(f'"{twice[0]}" is a variable and a part of one; give it another name.')
     check_names_differ(experiment.response_names, (*columns, *names))
-    units = [own.unit_in(experiment.subject) for own in variables.values()]
+    units = [v.unit_in(experiment.subject) for v in variables.values()]
     each = zip(units, columns.values(), strict=True)
     return {
         "experiment": experiment,
@@ -305,24 +307,24 @@ def _fields(
         "correlation": _of_numbers(correlation, columns),
         "names": names,
         "variable_names": tuple(variables),
-        "variable_units": tuple(unit for unit, own in each for _ in own),
+        "variable_units": tuple(unit for unit, v in each for _ in v),
     }
 
 
 def _of_numbers(correlation: Any, columns: dict[str, list[str]]) -> Any:
     """The correlation of all numbers from that of the variables."""
-    counts = [len(own) for own in columns.values()]
+    counts = [len(column) for column in columns.values()]
     if correlation is None or sum(counts) == len(counts):
         return correlation
-    given = np.asarray(correlation)
-    for name, count, row in zip(columns, counts, given - np.eye(len(counts)), strict=True):
+    values = np.asarray(correlation)
+    for name, count, row in zip(columns, counts, values - np.eye(len(counts)), strict=True):
         if count > 1 and row.any():
             raise ValueError(
                 f'correlation of a Problem names "{name}", which has several numbers '
                 f"({listed(columns[name])}); only variables of one number can be correlated."
             )
     matrix, first = np.eye(sum(counts)), np.cumsum([0, *counts[:-1]])
-    matrix[np.ix_(first, first)] = given
+    matrix[np.ix_(first, first)] = values
     return jnp.asarray(matrix)
 
 

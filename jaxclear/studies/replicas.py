@@ -30,10 +30,10 @@ MOST_REPLICAS = 16
 
 class Replicas(eqx.Module):
     """The first samples of a study once more, with steps of a `share` [1]: `responses` (replicas,)
-    by name beside the samples' `own`, nan where a run failed; how each replica ended, and when
-    [s]."""
+    by name, and those of the samples (`coarse`), nan where a run failed; how each replica ended,
+    and when [s]."""
 
-    own: dict[str, np.ndarray]
+    coarse: dict[str, np.ndarray]
     responses: dict[str, np.ndarray]
     outcome: np.ndarray
     ended: np.ndarray
@@ -47,13 +47,13 @@ class Replicas(eqx.Module):
     @property
     def failed(self) -> np.ndarray:
         """Indices of the samples whose replica failed, and they did not."""
-        fine = np.all([np.isfinite(own) for own in self.own.values()], axis=0)
+        fine = np.all([np.isfinite(values) for values in self.coarse.values()], axis=0)
         return np.flatnonzero(fine & (self.outcome != Outcome.REACHED))
 
     def differences(self, response: str) -> np.ndarray:
         """By how much each sample's response is too large, (replicas,), in its unit; nan where a
         run failed."""
-        return (self.own[response] - self.responses[response]) / (1 - self.share)
+        return (self.coarse[response] - self.responses[response]) / (1 - self.share)
 
     def errors(self, response: str) -> np.ndarray:
         """The told numerical error of each sample's response, (replicas,)."""
@@ -61,8 +61,8 @@ class Replicas(eqx.Module):
 
     def pairs(self, response: str) -> tuple[np.ndarray, np.ndarray]:
         """A response of samples and replicas of which neither failed."""
-        good = np.isfinite(self.own[response]) & np.isfinite(self.responses[response])
-        return self.own[response][good], self.responses[response][good]
+        good = np.isfinite(self.coarse[response]) & np.isfinite(self.responses[response])
+        return self.coarse[response][good], self.responses[response][good]
 
     def bias(
         self, response: str, statistic: Callable[[np.ndarray], float] = np.mean
@@ -74,24 +74,24 @@ class Replicas(eqx.Module):
     def doubts(self, problem: Problem, *responses: str) -> tuple[str, ...]:
         """A sentence for each of these responses whose mean is off by more than is promised, and
         one for replicas that failed."""
-        told = [_beyond(problem, self, name) for name in responses]
-        return tuple(filter(None, [*told, _failures(problem, self)]))
+        doubts = [_beyond(problem, self, name) for name in responses]
+        return tuple(filter(None, [*doubts, _failures(problem, self)]))
 
 
 def replicas_of(
     problem: Problem,
     values: np.ndarray,
-    found: SampleResult,
+    result: SampleResult,
     chunk: int,
     progress_bar: bool = False,
 ) -> Replicas | None:
     """Replicas of the first samples of a study in chunks of this size, whose values (samples,
-    variables) gave what was `found`; None where the problem has none."""
+    variables) gave `result`; None where the problem has none."""
     count = min(MOST_REPLICAS, len(values))
     finer = finer_runs(problem, values[:count], chunk, progress_bar)
     if finer is None:
         return None
-    return together_with(problem.response_names, found, finer, count)
+    return together_with(problem.response_names, result, finer, count)
 
 
 def finer_runs(
@@ -102,8 +102,8 @@ def finer_runs(
     replica = problem.refine()
     if replica is None:
         return None
-    numbers = [eqx.filter(own, eqx.is_array) for own in (problem, replica)]
-    shapes = [[jnp.shape(leaf) for leaf in jax.tree.leaves(own)] for own in numbers]
+    numbers = [eqx.filter(tree, eqx.is_array) for tree in (problem, replica)]
+    shapes = [[jnp.shape(leaf) for leaf in jax.tree.leaves(tree)] for tree in numbers]
     count = len(values)
     together = chunk if shapes[0] == shapes[1] else chunk_size(replica, count)
     if replica.cost().compiled:
@@ -112,18 +112,18 @@ def finer_runs(
     finer = evaluate_all(
         replica, values, chunk=together, progress_bar=progress_bar, label="replicas"
     )
-    return jax.tree.map(lambda own: own[:count], finer)
+    return jax.tree.map(lambda array: array[:count], finer)
 
 
 def together_with(
-    names: Sequence[str], found: SampleResult, finer: SampleResult, count: int
+    names: Sequence[str], result: SampleResult, finer: SampleResult, count: int
 ) -> Replicas:
     """The replicas of the first samples, of the responses that these and their finer runs gave."""
-    own, other = (
+    base, other = (
         {name: reached[name][:count] for name in names}
-        for reached in (found.reached_responses(), finer.reached_responses())
+        for reached in (result.reached_responses(), finer.reached_responses())
     )
-    return Replicas(own, other, np.asarray(finer.outcome[:count]), np.asarray(finer.ended[:count]))
+    return Replicas(base, other, np.asarray(finer.outcome[:count]), np.asarray(finer.ended[:count]))
 
 
 def numerical_error(
@@ -151,16 +151,16 @@ def unverified(problem: Problem, replicas: Replicas | None) -> str:
 
 def _beyond(problem: Problem, replicas: Replicas, response: str) -> str:
     bias, uncertainty = replicas.bias(response)
-    own, _ = replicas.pairs(response)
-    size = float(np.sqrt(np.mean(own**2))) if len(own) else np.nan
-    known = problem.description.responses[response]
-    promised = known.promised(size)
+    values, _ = replicas.pairs(response)
+    size = float(np.sqrt(np.mean(values**2))) if len(values) else np.nan
+    info = problem.description.responses[response]
+    promised = info.promised(size)
     if promised is None or not abs(bias) > max(promised, uncertainty):
         return ""
-    unit = "" if known.unit == "1" else f" {known.unit}"
+    unit = "" if info.unit == "1" else f" {info.unit}"
     return (
         f'"{response}": steps put its mean {bias:+.2g}{unit} off, beyond the {promised:.2g}{unit} '
-        f"that are promised; {known.remedy}."
+        f"that are promised; {info.remedy}."
     )
 
 

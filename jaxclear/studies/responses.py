@@ -18,9 +18,9 @@ from jaxclear.studies.experiment import check_names_differ
 from jaxclear.studies.variable import check_variables
 
 
-def answers(response: dict[str, Callable], found: Any) -> dict[str, Array]:
+def answers(response: dict[str, Callable], subject: Any) -> dict[str, Array]:
     """The responses of what a mechanism does, by name."""
-    return {name: answer(name, own, found) for name, own in response.items()}
+    return {name: answer(name, function, subject) for name, function in response.items()}
 
 
 def checked_question(
@@ -29,17 +29,17 @@ def checked_question(
     """Responses, which are functions `of` something, and variables of a mechanism by name. Raises
     `ValueError` with a sentence for what cannot be asked."""
     expect(mechanism, Mechanism, f"the mechanism of a {owner}", "a jaxclear.Mechanism")
-    wanted, varied = by_name("response", response), by_name("variables", variables)
-    check_responses(wanted, varied, of)
+    responses, varied = by_name("response", response), by_name("variables", variables)
+    check_responses(responses, varied, of)
     check_variables(varied, mechanism)
-    return wanted, varied
+    return responses, varied
 
 
 def in_range(*parts: Any) -> Array:
     """Whether all numbers of parts, as of a mechanism, are within their ranges."""
-    known = [inside(leaf, metadata) for part in parts for _, leaf, metadata in numbers(part)]
+    is_inside = [inside(leaf, metadata) for part in parts for _, leaf, metadata in numbers(part)]
     # Tables, as of a function of time, are arrays.
-    return jnp.all(jnp.stack([one if jnp.ndim(one) == 0 else jnp.all(one) for one in known]))
+    return jnp.all(jnp.stack([one if jnp.ndim(one) == 0 else jnp.all(one) for one in is_inside]))
 
 
 class Thinned(eqx.Module):
@@ -54,16 +54,16 @@ class Thinned(eqx.Module):
         return self.function(thin_run(run, self.parts))
 
 
-def by_name(what: str, given: Any) -> dict[str, Any]:
+def by_name(what: str, mapping: Any) -> dict[str, Any]:
     """What varies or is wanted, by name; a response alone is called "response"."""
-    if what == "response" and not isinstance(given, Mapping):
-        return {what: given}
-    expect(given, Mapping, f"{what} of a Problem", "a dictionary from names")
-    if what == "response" and not given:
+    if what == "response" and not isinstance(mapping, Mapping):
+        return {what: mapping}
+    expect(mapping, Mapping, f"{what} of a Problem", "a dictionary from names")
+    if what == "response" and not mapping:
         raise ValueError("response of a Problem is empty; it must hold at least one.")
-    for name in given:
+    for name in mapping:
         expect(name, str, f"a name in {what} of a Problem", "a text")
-    return dict(given)
+    return dict(mapping)
 
 
 def answer(name: str, response: Callable, run: Any) -> Array:
@@ -79,26 +79,26 @@ def answer(name: str, response: Callable, run: Any) -> Array:
     return jnp.asarray(value, float)
 
 
-def check_answers(response: dict[str, Callable], seen: Callable[[], Any]) -> None:
-    """Raises `ValueError` with a sentence where a response does not give one number; `seen` makes
-    what it is asked of. Nothing is compiled."""
-    for name, own in response.items():
-        if isinstance(own, AbstractSignal):
+def check_answers(response: dict[str, Callable], make_subject: Callable[[], Any]) -> None:
+    """Raises `ValueError` with a sentence where a response does not give one number; `make_subject`
+    makes what it is asked of. Nothing is compiled."""
+    for name, function in response.items():
+        if isinstance(function, AbstractSignal):
             raise ValueError(
                 f'response "{name}" is a sensor, whose signal is no number: give a function of it, '
                 "such as lambda run: jax.numpy.max(sensor(run)); jaxclear.identify takes the "
                 "sensors of its record by itself."
             )
-        shape_of(lambda name=name, own=own: answer(name, own, seen()))
+        shape_of(lambda name=name, function=function: answer(name, function, make_subject()))
 
 
 def check_responses(response: dict[str, Any], variables: dict[str, Any], of: str) -> None:
     """Responses are functions `of` something, and share no name with a variable."""
-    for name, wanted in response.items():
-        if not callable(wanted) or isinstance(wanted, type):
-            hint = f": build one, {wanted.__name__}(...)" if isinstance(wanted, type) else ""
+    for name, value in response.items():
+        if not callable(value) or isinstance(value, type):
+            hint = f": build one, {value.__name__}(...)" if isinstance(value, type) else ""
             raise ValueError(
-                f'response "{name}" is {described(wanted)}; it must be a function of {of}, such as '
+                f'response "{name}" is {described(value)}; it must be a function of {of}, such as '
                 f"one of jaxclear.response{hint}."
             )
     check_names_differ(response, variables)

@@ -16,6 +16,7 @@ from jaxtyping import Array, Float
 
 from jaxclear.errors.observables import GAPS
 from jaxclear.errors.verification import refine_times, replica
+from jaxclear.ground.compiling import by_form
 from jaxclear.ground.printing import part_in_words
 from jaxclear.ground.quantity import on_device
 from jaxclear.integrators import AbstractIntegrator, FixedStep, MoreauJean, Outcome
@@ -37,7 +38,7 @@ from jaxclear.multibody.state import lay_out
 from jaxclear.multibody.system import longest_arm, prepare, wear_maps
 from jaxclear.multibody.topology import Redundancy
 from jaxclear.native import has_kernels
-from jaxclear.native.compiled import compiled_for_kernels
+from jaxclear.native.compiled import compiled_for_kernels, compiled_quickly
 from jaxclear.results.response import concerned, needs_of, unit_of
 from jaxclear.results.state_history import State
 from jaxclear.results.trajectory import Trajectory
@@ -65,7 +66,12 @@ from jaxclear.simulation.simulate import (
     saving_times,
 )
 from jaxclear.simulation.singular_positions import diagnosed, diagnosed_outcome
-from jaxclear.studies.chosen_integrator import allowed, checked_asked, chosen_integrator, unasked
+from jaxclear.studies.chosen_integrator import (
+    allowed,
+    chosen_integrator,
+    required_accuracy,
+    unasked,
+)
 from jaxclear.studies.experiment import (
     LEAST_CHUNK,
     PARTS,
@@ -132,35 +138,35 @@ class RunExperiment(AbstractExperiment):
     ):
         self.mechanism, self.response = mechanism, response
         self.response_names = tuple(response)
-        asked = as_saving(save)
-        times = on_device(saving_times(check_duration(duration), asked.at))
+        saving = as_saving(save)
+        times = on_device(saving_times(check_duration(duration), saving.at))
         self.state = state_of(state)
-        self._check_answers(integrator, times, asked.events)
-        given = mechanism, self.response, times[-1]
+        self._check_answers(integrator, times, saving.events)
+        arguments = mechanism, self.response, times[-1]
         chosen: Any = (integrator, "", None)
         if accuracy is not None:
             check_one_of_two("a Problem", integrator)
-            share = checked_asked(accuracy, self.response)
-            found = chosen_integrator(*given, share, How(asked, state))
-            chosen = found.integrator, found.why, share
+            share = required_accuracy(accuracy, self.response)
+            choice = chosen_integrator(*arguments, share, How(saving, state))
+            chosen = choice.integrator, choice.why, share
         elif integrator is None:
-            chosen = unasked(*given, How(asked, state))
+            chosen = unasked(*arguments, How(saving, state))
         self.integrator, self.why_integrator, self.accuracy = chosen
         self.unasked = integrator is None and self.accuracy is None
-        self.events = checked_saving(asked, self.integrator).events
+        self.events = checked_saving(saving, self.integrator).events
         self.duration, self.shares = times[-1], times / times[-1]
         check_run(mechanism, self.integrator)
         check_steps(integrator, times)
-        seen = self.integrator.formulation.seen(mechanism)
-        self.past = past_of(seen, self.integrator.formulation, self.state)
+        modelled = self.integrator.formulation.seen(mechanism)
+        self.past = past_of(modelled, self.integrator.formulation, self.state)
         self.updates = jnp.asarray(1)
         self.integrator = self._load_steps().integrator
         motion = self.state.motion
         if motion is None:
-            known = sampled(seen, self.state.concentric, self.past.worn)
+            sampled_mode = sampled(modelled, self.state.concentric, self.past.worn)
         else:
-            known = Sampled((), motion.redundancy, None)
-        self.determined, self.redundancy, self.mode = known
+            sampled_mode = Sampled((), motion.redundancy, None)
+        self.determined, self.redundancy, self.mode = sampled_mode
 
     def _check_answers(
         self, integrator: AbstractIntegrator | None, times: Array, events: int
@@ -175,8 +181,8 @@ class RunExperiment(AbstractExperiment):
                 raise
             usual = MoreauJean()
             check_run(self.mechanism, usual)
-        seen = usual.formulation.seen(self.mechanism)
-        check_answers(self.response, lambda: sketched(seen, usual.formulation, times, events))
+        modelled = usual.formulation.seen(self.mechanism)
+        check_answers(self.response, lambda: sketched(modelled, usual.formulation, times, events))
 
     @property
     def subject(self):
@@ -185,10 +191,10 @@ class RunExperiment(AbstractExperiment):
     def with_integrator(self, integrator: AbstractIntegrator) -> "RunExperiment":
         """The same runs by another integrator."""
         save = Saving(len(self.shares), self.events)
-        given = self.mechanism, self.response, float(self.duration), integrator
-        found = RunExperiment(*given, save=save, state=self.state)
+        arguments = self.mechanism, self.response, float(self.duration), integrator
+        experiment = RunExperiment(*arguments, save=save, state=self.state)
         # Times given, as they are: their shares times the duration may be off by rounding.
-        return eqx.tree_at(lambda run: run.shares, found, self.shares)
+        return eqx.tree_at(lambda run: run.shares, experiment, self.shares)
 
     def with_values(self, setting):
         """The mechanism with its variables set. Leaves that vary together move by the same
@@ -197,8 +203,8 @@ class RunExperiment(AbstractExperiment):
 
     def seen(self, setting: Setting) -> Mechanism:
         """The mechanism of one setting as it is simulated."""
-        seen = self.integrator.formulation.seen(self.with_values(setting))
-        return with_redundancy(seen, self.redundancy)
+        modelled = self.integrator.formulation.seen(self.with_values(setting))
+        return with_redundancy(modelled, self.redundancy)
 
     def started(
         self, setting: Setting, discrete: bool = False
@@ -215,9 +221,9 @@ class RunExperiment(AbstractExperiment):
         else:
             start = carried_on(mechanism, *motion.moving)
         extras = Extras(events=self.events, discrete=discrete)
-        given = mechanism, *start[:2], self._times(), self.integrator, extras, self.past
-        found = until_the_end(run(*given, self.updates))
-        return mechanism, start, found
+        arguments = mechanism, *start[:2], self._times(), self.integrator, extras, self.past
+        trajectory = until_the_end(run(*arguments, self.updates))
+        return mechanism, start, trajectory
 
     def _times(self) -> Array:
         """Saving times [s]."""
@@ -226,10 +232,10 @@ class RunExperiment(AbstractExperiment):
     def _beginning(self, mechanism: Mechanism) -> tuple[Array, Array] | None:
         """Coordinates and speeds from which the start of a sample is sought; None for its own
         guess."""
-        known = self.mode
-        if known is None or known.coordinates is None or not known.fits(mechanism):
+        mode = self.mode
+        if mode is None or mode.coordinates is None or not mode.fits(mechanism):
             return None
-        return known.coordinates, guess(mechanism)[1]
+        return mode.coordinates, guess(mechanism)[1]
 
     def keeps_mode(self, mechanism: Mechanism, start: Start) -> Any:
         """Whether a sample is assembled in the nominal mode, as far as it is known; pure."""
@@ -245,27 +251,24 @@ class RunExperiment(AbstractExperiment):
             self.integrator.formulation.seen(loosened(self.mechanism, self.determined)),
             self.redundancy,
         )
-        seen, counting = prepare(mechanism), self.integrator
-        if seen.bearings:
-            counting = counting.counting_in(narrowest_gap(seen), longest_arm(seen))
+        counting = self.integrator
+        if mechanism.topology.clearances:
+            counting = counting.counting_in(*_gap_and_arm(mechanism))
         how = replica(counting, self._times(), share)
         if how is None:
             return None
-        places = lambda own: (own.integrator, own.updates)
-        found = eqx.tree_at(places, self, (how.integrator, jnp.asarray(how.updates)))
+        places = lambda e: (e.integrator, e.updates)
+        experiment = eqx.tree_at(places, self, (how.integrator, jnp.asarray(how.updates)))
         if how.every == 1:
-            return found
-        responses = {name: Thinned(own, how.every) for name, own in self.response.items()}
+            return experiment
+        responses = {name: Thinned(f, how.every) for name, f in self.response.items()}
         shares = jnp.asarray(refine_times(self.shares, how.every))
-        return eqx.tree_at(lambda own: (own.response, own.shares), found, (responses, shares))
+        return eqx.tree_at(lambda e: (e.response, e.shares), experiment, (responses, shares))
 
     def cost(self):
         # Saved states and worn surfaces.
-        system = prepare(self.mechanism)
-        cells = sum(
-            math.prod(m.cells) for own in wear_maps(system).values() for m, _ in own.values()
-        )
-        states = len(self.shares) * (HISTORY_FACTOR * lay_out(system).size)
+        size, cells = _sizes(self.mechanism)
+        states = len(self.shares) * (HISTORY_FACTOR * size)
         memory = 8 * (states + 8 * cells)
         batch = LARGEST_CHUNK.get(jax.default_backend())
         if batch is None:
@@ -281,13 +284,13 @@ class RunExperiment(AbstractExperiment):
         lasts, saves = f"{float(self.duration):.6g} s", len(self.shares)
         how = f"over {lasts}, {saves} saved instants, by {part_in_words(self.integrator)}"
         early = {
-            own: f"the run ended after {{ended:.6g}} s. {own.sentence}"
-            for own in Outcome
-            if own.began and own != Outcome.REACHED
+            outcome: f"the run ended after {{ended:.6g}} s. {outcome.sentence}"
+            for outcome in Outcome
+            if outcome.began and outcome != Outcome.REACHED
         }
         return Description(
             f"Problem {how}",
-            {name: self._known_of(name) for name in self.response_names},
+            {name: self._response_info(name) for name in self.response_names},
             early,
             True,
             checked_by(self._load_steps().passed, Checks()).warnings,
@@ -295,28 +298,28 @@ class RunExperiment(AbstractExperiment):
             self._limits_of_derivatives(),
         )
 
-    def _known_of(self, name: str) -> ResponseInfo:
+    def _response_info(self, name: str) -> ResponseInfo:
         response = self.response[name]
         unit = unit_of(response, self.mechanism)
         concerns = frozenset(part for part in PARTS if concerned(response, part))
         if self.accuracy is not None:
             promise = allowed(self.accuracy, name)
         else:
-            wanted = STUDIES if self.unasked else self.integrator.promise
-            promise = _promise_of(self.mechanism, wanted, response, unit)
+            promises = STUDIES if self.unasked else self.integrator.promise
+            promise = _promise_of(self.mechanism, promises, response, unit)
         return ResponseInfo(unit, concerns, promise, self.integrator.remedy)
 
     def _limits_of_derivatives(self) -> tuple[str, str]:
-        seen = self.integrator.formulation.seen(self.mechanism)
+        modelled = self.integrator.formulation.seen(self.mechanism)
         if self.integrator.through_contacts and not self.integrator.pathwise:
             doubt = "nothing controls the error of derivatives"
-            return refusal(seen, self.integrator), doubt
+            return refusal(modelled, self.integrator), doubt
         if not self.integrator.pathwise:
             return (
                 "derivatives of finished runs of this integrator are wrong near contact; use "
                 "integrator.Adaptive with an explicit solver, or one with fixed steps."
             ), ""
-        return "", refusal(seen, self.integrator, discrete=True)
+        return "", refusal(modelled, self.integrator, discrete=True)
 
     def detail(self, setting, index, chunk) -> Trajectory:
         """The run of one sample, bit for bit as it ran in its chunk."""
@@ -330,16 +333,31 @@ class RunExperiment(AbstractExperiment):
         return load_steps(self.mechanism, self.integrator, self._times())
 
 
+@by_form
+def _sizes(mechanism: Mechanism) -> tuple[int, int]:
+    """How many numbers a state of a mechanism has, and how many cells its surfaces that wear."""
+    system = prepare(mechanism)
+    maps = [surface for maps in wear_maps(system).values() for surface, _ in maps.values()]
+    return lay_out(system).size, sum(math.prod(surface.cells) for surface in maps)
+
+
+@compiled_quickly
+def _gap_and_arm(mechanism: Mechanism) -> tuple[Array, Array]:
+    """The narrowest gap and the longest arm of a mechanism [m]."""
+    system = prepare(mechanism)
+    return narrowest_gap(system), longest_arm(system)
+
+
 def _answers(experiment: RunExperiment, setting: Setting, discrete: bool) -> SampleResult:
     """Responses of a run for one setting; `discrete`: derivatives of the discrete run
     are wanted, where the integrator has them."""
     integrator = experiment.integrator
-    own = discrete and integrator.pathwise
-    seen = integrator.formulation.seen(experiment.mechanism)
-    if not own and is_compared(seen, integrator):
-        known = compared(_answered, _finer, _alike, _steps, order_of(seen, integrator))
-        return backwards(integrator)(known, experiment, setting)
-    started = lambda experiment, setting: experiment.started(setting, own)
+    has_pathwise = discrete and integrator.pathwise
+    modelled = integrator.formulation.seen(experiment.mechanism)
+    if not has_pathwise and is_compared(modelled, integrator):
+        evaluate = compared(_answered, _finer, _guard, _steps, order_of(modelled, integrator))
+        return backwards(integrator)(evaluate, experiment, setting)
+    started = lambda experiment, setting: experiment.started(setting, has_pathwise)
     mechanism, start, run = backwards(integrator)(started, experiment, setting)
     return _taken(experiment, mechanism, start, guarded(run, integrator, discrete))
 
@@ -351,8 +369,8 @@ _answers_alone = compiled_for_kernels(_answers)
 def _taken(experiment: RunExperiment, mechanism: Any, start: Any, run: Trajectory) -> SampleResult:
     possible = in_range(mechanism)
     sound = is_sound(mechanism, start)
-    kept = experiment.keeps_mode(mechanism, start)
-    outcome = jnp.where(kept, diagnosed_outcome(run), Outcome.OTHER_MODE)
+    keeps_mode = experiment.keeps_mode(mechanism, start)
+    outcome = jnp.where(keeps_mode, diagnosed_outcome(run), Outcome.OTHER_MODE)
     outcome = jnp.where(sound, outcome, Outcome.UNASSEMBLED)
     outcome = jnp.where(possible, outcome, Outcome.OUT_OF_RANGE)
     return SampleResult(answers(experiment.response, run), outcome, run.ended, run.invariants)
@@ -365,21 +383,21 @@ def _answered(experiment: RunExperiment, setting: Setting) -> SampleResult:
 def _finer(share: Any, experiment: RunExperiment, setting: Setting) -> tuple[Any, Setting]:
     """The same in other steps."""
     steps = in_other_steps(experiment.integrator, share, experiment.shares * experiment.duration)
-    return eqx.tree_at(lambda known: known.integrator, experiment, steps), setting
+    return eqx.tree_at(lambda tree: tree.integrator, experiment, steps), setting
 
 
 def _steps(experiment: RunExperiment, _: Any) -> tuple[Any, Any]:
     return experiment.integrator.asked_step(), experiment.shares * experiment.duration
 
 
-def _alike(found: SampleResult, ways: SampleResult, ratios: Array, least: Any) -> SampleResult:
+def _guard(result: SampleResult, tangents: SampleResult, ratios: Array, least: Any) -> SampleResult:
     """Derivatives of what is answered; those of responses are nan where steps decide them."""
-    told = {
-        name: refuse_steps(way, ratios, abs(way[0]), least * abs(found.responses[name]))
-        for name, way in ways.responses.items()
+    responses = {
+        name: refuse_steps(tangent, ratios, abs(tangent[0]), least * abs(result.responses[name]))
+        for name, tangent in tangents.responses.items()
     }
-    moves = jax.tree.map(lambda each: each[0], ways)
-    return SampleResult(told, moves.outcome, moves.ended, moves.checks)
+    moves = jax.tree.map(lambda each: each[0], tangents)
+    return SampleResult(responses, moves.outcome, moves.ended, moves.checks)
 
 
 def _promise_of(
@@ -393,10 +411,10 @@ def _promise_of(
     share = None if part is None else promise._asdict()[part]
     if share is None:
         return None
-    return share * (_way(mechanism, unit) if part == "places" else 0.0), share
+    return share * (_length_scale(mechanism, unit) if part == "places" else 0.0), share
 
 
-def _way(mechanism: Mechanism, unit: str) -> float:
+def _length_scale(mechanism: Mechanism, unit: str) -> float:
     """Of what goes by a unit the least way that places are measured beside."""
     if unit != "m":
         return 1.0 if unit == "rad" else 0.0

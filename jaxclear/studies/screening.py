@@ -29,7 +29,7 @@ from jaxclear.studies.scrambling import normal_scores
 from jaxclear.studies.statistics.scrambled import Statistic, deviation, jackknifed
 from jaxclear.studies.store.batch import evaluate_all
 from jaxclear.studies.store.store import stored
-from jaxclear.studies.warned import told
+from jaxclear.studies.warned import sentences_among
 
 # Shares of the population [1] that a move goes through: their mean is that of Morris' steps.
 SHORTEST, LONGEST = 1 / 3, 2 / 3
@@ -51,19 +51,19 @@ class Screening(AbstractAnswer):
 
     def sentence(self) -> str:
         """Which variable matters most to each response, and how many runs failed."""
-        said = []
+        sentences = []
         for name in self.problem.response_names:
-            own = {v: self.mu_star[name, v].value for v in self.problem.variable_names}
-            known = {v: value for v, value in own.items() if np.isfinite(value)}
-            if known:
-                said.append(f'"{name}" moves most with "{max(known, key=lambda v: known[v])}".')
+            effects = {v: self.mu_star[name, v].value for v in self.problem.variable_names}
+            some = {v: value for v, value in effects.items() if np.isfinite(value)}
+            if some:
+                sentences.append(f'"{name}" moves most with "{max(some, key=lambda v: some[v])}".')
         text = f"{self.runs} runs"
         text += f", {self.failed} failed: their moves are left out." if self.failed else "."
-        return " ".join([text, *said])
+        return " ".join([text, *sentences])
 
     def _stated(self):
         over, units = (RESPONSE, VARIABLE), self.problem.units()
-        read = lambda found, part: {key: getattr(one, part) for key, one in found.items()}
+        read = lambda statistics, part: {key: getattr(one, part) for key, one in statistics.items()}
         columns = {
             "unit": Column(over, {key: units[key[0]] for key in self.mu_star}),
             "mu*": Column(over, read(self.mu_star, "value"), error=read(self.mu_star, "error")),
@@ -108,28 +108,30 @@ def screening(
     together = list(problem.groups.values())
     shares = _trajectories(together, trajectories, seed)
     values = jnp.asarray(all_values(problem, normal_scores(shares)))
-    found = evaluate_all(problem, values, progress_bar=progress_bar, label="screening")
-    refuse_endless(problem, found.responses, "elementary effect")
-    own = {name: np.asarray(found.responses[name], float) for name in problem.response_names}
-    good, own = successes(problem, found.outcome, own)
+    result = evaluate_all(problem, values, progress_bar=progress_bar, label="screening")
+    refuse_endless(problem, result.responses, "elementary effect")
+    columns = {name: np.asarray(result.responses[name], float) for name in problem.response_names}
+    good, columns = successes(problem, result.outcome, columns)
     moves = np.diff(shares.reshape(trajectories, -1, shares.shape[1]), axis=1)
     effects, mu_star, sigma = {}, {}, {}
-    for name, responses in own.items():
-        kept = responses.reshape(trajectories, -1)
+    for name, responses in columns.items():
+        path_values = responses.reshape(trajectories, -1)
         for variable, (i, *_) in problem.groups.items():
             # Each trajectory moves each variable once, and its numbers by the same share.
             moved = np.argmax(np.abs(moves[:, :, i]), axis=1)[:, None]
             change, share = (
                 np.take_along_axis(rows, moved, axis=1)[:, 0]
-                for rows in (np.diff(kept, axis=1), moves[:, :, i])
+                for rows in (np.diff(path_values, axis=1), moves[:, :, i])
             )
             effects[name, variable] = change / share
-            told_by = effects[name, variable][np.isfinite(change)]
-            group = np.arange(len(told_by))
-            mu_star[name, variable] = jackknifed(np.mean, np.abs(told_by), group)
-            sigma[name, variable] = jackknifed(deviation, told_by, group, skewed=True, grouped=True)
+            defined = effects[name, variable][np.isfinite(change)]
+            group = np.arange(len(defined))
+            mu_star[name, variable] = jackknifed(np.mean, np.abs(defined), group)
+            sigma[name, variable] = jackknifed(deviation, defined, group, skewed=True, grouped=True)
     counts = len(values), int((~good).sum())
-    return Screening(problem, mu_star, sigma, effects, *counts, told(problem, found.checks, good))
+    return Screening(
+        problem, mu_star, sigma, effects, *counts, sentences_among(problem, result.checks, good)
+    )
 
 
 def _trajectories(groups: list[range], count: int, seed: int) -> np.ndarray:
@@ -141,5 +143,5 @@ def _trajectories(groups: list[range], count: int, seed: int) -> np.ndarray:
     # The variable that moves first has moved at all points but the first.
     order = rng.permuted(np.tile(np.arange(variables), (count, 1)), axis=1)[:, None]
     moved = np.arange(variables + 1)[:, None] > order
-    moves = np.repeat(moved * step, [len(own) for own in groups], axis=2)
+    moves = np.repeat(moved * step, [len(group) for group in groups], axis=2)
     return ((start + moves) % 1.0).reshape(-1, start.shape[2])

@@ -110,38 +110,38 @@ class AbstractSensor(AbstractSignal):
         Returns:
             Readings, shape (runs, samples).
         """
-        found = np.atleast_2d(np.asarray(signals, float))
-        runs, samples = found.shape
+        readings = np.atleast_2d(np.asarray(signals, float))
+        runs, samples = readings.shape
         draw = lambda value: _drawn(value, runs, rng)
         cut = None if self.bandwidth is None else draw(self.bandwidth)
-        found = _passed_each(found, rate, cut, draw(self.delay), draw(self.gain))
+        readings = _filter_each(readings, rate, cut, draw(self.delay), draw(self.gain))
         if self.sampling is not None:
             every = rate / draw(self.sampling)[:, None]
             at = np.arange(samples)
-            found = _read_each(found, np.where(every > 1, np.floor(at / every) * every, at))
-        found, noise = np.asarray(found), draw(self.noise)
+            readings = _read_each(readings, np.where(every > 1, np.floor(at / every) * every, at))
+        readings, noise = np.asarray(readings), draw(self.noise)
         if np.any(noise > 0):
-            found = found + noise[:, None] * rng.standard_normal(found.shape)
-        return self.rounded(found)
+            readings = readings + noise[:, None] * rng.standard_normal(readings.shape)
+        return self.rounded(readings)
 
 
 def _drawn(value: Any, runs: int, rng: np.random.Generator) -> np.ndarray:
     """A number for each run."""
     if not isinstance(value, Dimension):
         return np.full(runs, float(value))
-    shares, own = jnp.asarray(rng.random(runs)), marginals_of(value.distribution)[0]
-    return np.asarray(value.nominal_in(None) + own.quantile(shares))
+    shares, marginal = jnp.asarray(rng.random(runs)), marginals_of(value.distribution)[0]
+    return np.asarray(value.nominal_in(None) + marginal.quantile(shares))
 
 
-def passed(signal: Array, rate: Scalar, bandwidth: Any, delay: Any, gain: Any) -> Array:
+def filter_signal(signal: Array, rate: Scalar, bandwidth: Any, delay: Any, gain: Any) -> Array:
     """What an instrument whose numbers are known makes of a signal (n,) at `rate` [Hz], without
     noise. Its first-order low-pass (None: none) is exact for signals that are constant between
     samples, and begins settled."""
     if bandwidth is not None:
-        kept = jnp.exp(-2 * jnp.pi * bandwidth / rate)
+        decay = jnp.exp(-2 * jnp.pi * bandwidth / rate)
 
         def mixed(before, now):
-            after = kept * before + (1 - kept) * now
+            after = decay * before + (1 - decay) * now
             return after, after
 
         signal = jax.lax.scan(mixed, signal[0], signal)[1]
@@ -158,7 +158,7 @@ def _read(signal: Array, at: Array) -> Array:
     return (1 - share) * signal[first] + share * signal[second]
 
 
-_passed_each = jax.jit(jax.vmap(passed, (0, None, 0, 0, 0)))
+_filter_each = jax.jit(jax.vmap(filter_signal, (0, None, 0, 0, 0)))
 _read_each = jax.jit(jax.vmap(_read))
 
 
@@ -184,9 +184,9 @@ class Accelerometer(AbstractSensor):
         return "m/s^2"
 
     def __call__(self, run):
-        found = run.marker(self.marker)
-        change = jnp.diff(found.velocity, axis=0) / jnp.diff(run.time)[:, None]
-        along = found.rotation[:, :, AXES.index(self.axis)]
+        motion = run.marker(self.marker)
+        change = jnp.diff(motion.velocity, axis=0) / jnp.diff(run.time)[:, None]
+        along = motion.rotation[:, :, AXES.index(self.axis)]
         gravity = jnp.stack([jnp.asarray(x, float) for x in run.history.model().system.gravity])
         felt = jnp.sum((change - gravity) * 0.5 * (along[1:] + along[:-1]), axis=1)
         return jnp.concatenate([felt[:1], felt])
@@ -212,9 +212,9 @@ class Gyroscope(AbstractSensor):
         return "rad/s"
 
     def __call__(self, run):
-        found = run.marker(self.marker)
-        along = found.rotation[:, :, AXES.index(self.axis)]
-        return jnp.sum(found.body.spin * along, axis=1)
+        motion = run.marker(self.marker)
+        along = motion.rotation[:, :, AXES.index(self.axis)]
+        return jnp.sum(motion.body.spin * along, axis=1)
 
 
 class Displacement(AbstractSensor):
@@ -293,8 +293,8 @@ class Encoder(AbstractSensor):
         return step * np.round(signals / step)
 
     def __call__(self, run):
-        found: Float[Array, "time ..."] = run.coordinate(self.joint)
-        return found if found.ndim == 1 else found[:, self.index]
+        angle: Float[Array, "time ..."] = run.coordinate(self.joint)
+        return angle if angle.ndim == 1 else angle[:, self.index]
 
 
 class Series(AbstractSensor):
@@ -325,18 +325,18 @@ def _check_axis(sensor: Any) -> None:
 def check_sensor(name: str, sensor: Any, mechanism: Any) -> None:
     """Raises `ValueError` with a sentence where a signal has no sensor, or one of something that
     the mechanism has not."""
-    wanted = 'one of jaxclear.sensor, such as Accelerometer("slider", axis="x")'
-    expect(sensor, AbstractSensor, f'the sensor of signal "{name}"', wanted)
+    expected = 'one of jaxclear.sensor, such as Accelerometer("slider", axis="x")'
+    expect(sensor, AbstractSensor, f'the sensor of signal "{name}"', expected)
     if isinstance(sensor, Series):
         raise ValueError(
             f'signal "{name}" has a Series as its sensor, which is of a FunctionProblem; of a '
-            f"mechanism it must be {wanted}."
+            f"mechanism it must be {expected}."
         )
     if isinstance(sensor, Encoder):
         coordinate_units(mechanism, sensor.joint)
     elif isinstance(sensor, ForceGauge):
-        known = [*mechanism.connections, *mechanism.couplings]
-        check_name("joint", sensor.joint, known, f' for the sensor of signal "{name}"')
+        names = [*mechanism.connections, *mechanism.couplings]
+        check_name("joint", sensor.joint, names, f' for the sensor of signal "{name}"')
     else:
         bodies = list(mechanism.bodies)
         check_name("body", sensor.marker.body, bodies, f' for the sensor of signal "{name}"')

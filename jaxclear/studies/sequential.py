@@ -10,7 +10,7 @@ from jaxclear.studies.endless import INSTEAD
 from jaxclear.studies.experiment import SampleResult
 from jaxclear.studies.problem import Problem
 from jaxclear.studies.sampling import Drawing
-from jaxclear.studies.statistics.accuracy import Asked, Piece, told, unreached
+from jaxclear.studies.statistics.accuracy import Goals, Piece, missed_accuracies, unreached
 
 # What a study begins with that goes on until it is accurate.
 FIRST_SAMPLES = 256
@@ -22,7 +22,7 @@ def first_of(samples: int, scramblings: int) -> int:
     return scramblings * 2 ** int(np.log2(samples // scramblings))
 
 
-def until_accurate(problem: Problem, first: int, most: int, asked: Asked, grown: Callable) -> str:
+def until_accurate(problem: Problem, first: int, most: int, request: Goals, grown: Callable) -> str:
     """Doubles a sample, from the first number on, until it is accurate or would be more than the
     most; a sentence where it is not accurate, else "". `grown` is given how many samples there are
     to be, and gives them in pieces: responses by name (samples,), and scramblings (samples,).
@@ -32,10 +32,10 @@ def until_accurate(problem: Problem, first: int, most: int, asked: Asked, grown:
     count = first
     while True:
         endless: set[str] = set()
-        short = told(asked, _noted(problem, grown(count), endless))
-        short = {name: own for name, own in short.items() if name not in endless}
+        short = missed_accuracies(request, _noted(problem, grown(count), endless))
+        short = {name: value for name, value in short.items() if name not in endless}
         if not short or 2 * count > most:
-            without = [_no_mean(problem, name) for name in asked[0] if name in endless]
+            without = [_no_mean(problem, name) for name in request[0] if name in endless]
             return " ".join(filter(None, [unreached(short), *without]))
         count *= 2
 
@@ -43,7 +43,7 @@ def until_accurate(problem: Problem, first: int, most: int, asked: Asked, grown:
 def _noted(problem: Problem, pieces: Iterable[Piece], endless: set[str]) -> Iterator[Piece]:
     """The pieces of a sample; the responses that have infinite answers in them are put down."""
     for responses, group in pieces:
-        infinite = (name for name, own in responses.items() if np.isinf(own).any())
+        infinite = (name for name, values in responses.items() if np.isinf(values).any())
         endless.update(name for name in infinite if problem.description.responses[name].infinite)
         yield responses, group
 
@@ -64,7 +64,7 @@ class Grown:
     def __init__(self, drawing: Drawing, run: Callable[[np.ndarray], SampleResult], chunk: int):
         self.drawing, self.run, self.chunk = drawing, run, chunk
         self.values = np.zeros((0, drawing.count))
-        self.found: Any = None
+        self.result: Any = None
 
     def to(self, samples: int) -> None:
         """Grows it to so many samples."""
@@ -73,9 +73,9 @@ class Grown:
         # where `rerun` finds it.
         again = there % self.chunk
         values = self.drawing.span(there - again, samples)
-        found = self.run(values)
-        if self.found is not None:
-            new = jax.tree.map(lambda own: own[again:], found)
+        result = self.run(values)
+        if self.result is not None:
+            new = jax.tree.map(lambda array: array[again:], result)
             values = np.concatenate([self.values, values[again:]])
-            found = jax.tree.map(lambda *both: np.concatenate(both), self.found, new)
-        self.values, self.found = values, found
+            result = jax.tree.map(lambda *both: np.concatenate(both), self.result, new)
+        self.values, self.result = values, result

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 
 from jaxclear.ground.argument_errors import answering
@@ -20,7 +19,7 @@ from jaxclear.studies.endless import successes, why_unanswered
 from jaxclear.studies.problem import Problem
 from jaxclear.studies.store.batch import evaluate_all
 from jaxclear.studies.store.store import stored
-from jaxclear.studies.warned import told
+from jaxclear.studies.warned import sentences_among
 
 
 class Sweep(AbstractAnswer):
@@ -41,12 +40,12 @@ class Sweep(AbstractAnswer):
     def sentence(self) -> str:
         """Between which values each response lies over the grid; how many points failed, and where
         and why the first of them did."""
-        units, said = self.units(), []
+        units, sentences = self.units(), []
         for name, values in self.responses.items():
             if np.isfinite(values).any():
                 ends = f"{np.nanmin(values):.4g} and {np.nanmax(values):.4g} {units[name]}"
-                said.append(f'"{name}" lies between {ends.removesuffix(" 1")} over the grid.')
-        return " ".join([*said, *filter(None, [self._failed()])])
+                sentences.append(f'"{name}" lies between {ends.removesuffix(" 1")} over the grid.')
+        return " ".join([*sentences, *filter(None, [self._failed()])])
 
     def _failed(self) -> str:
         """How many points failed; "" where none did."""
@@ -63,15 +62,15 @@ class Sweep(AbstractAnswer):
 
     def _stated(self):
         units, names = self.units(), tuple(self.over)
-        columns = {name: Column(names, own, units[name]) for name, own in self.responses.items()}
-        columns |= {name: Column((name,), own, units[name]) for name, own in self.over.items()}
+        columns = {name: Column(names, data, units[name]) for name, data in self.responses.items()}
+        columns |= {name: Column((name,), data, units[name]) for name, data in self.over.items()}
         numbers = {"failed": len(self.reasons)}
         return Stated("sweep", columns, self.problem, self.warnings, numbers)
 
     def units(self) -> dict[str, str]:
         """Units of variables and responses, by name."""
-        own = zip(self.problem.names, self.problem.variable_units, strict=True)
-        return dict(own) | dict(self.problem.units())
+        pairs = zip(self.problem.names, self.problem.variable_units, strict=True)
+        return dict(pairs) | dict(self.problem.units())
 
 
 @answering
@@ -103,16 +102,16 @@ def sweep(
     expect(problem, Problem, "what is swept", "a jaxclear.Problem")
     expect(over, Mapping, "over of sweep", "values by the names of variables")
     check_flags("sweep", progress_bar=progress_bar)
-    axes = {name: _axis(name, own, problem) for name, own in over.items()}
+    axes = {name: _axis(name, axis_values, problem) for name, axis_values in over.items()}
     if not axes:
         raise ValueError("over of sweep is empty; name a variable and the values it shall take.")
     grid = np.meshgrid(*axes.values(), indexing="ij")
     values = np.tile(np.asarray(problem.nominal()), (grid[0].size, 1))
-    for name, own in zip(axes, grid, strict=True):
-        values[:, problem.names.index(name)] = own.ravel()
-    found = evaluate_all(problem, jnp.asarray(values), progress_bar=progress_bar, label="sweep")
-    outcome, ended = np.asarray(found.outcome), np.asarray(found.ended)
-    good, numbers = successes(problem, outcome, found.responses)
+    for name, axis_values in zip(axes, grid, strict=True):
+        values[:, problem.names.index(name)] = axis_values.ravel()
+    result = evaluate_all(problem, values, progress_bar=progress_bar, label="sweep")
+    outcome, ended = np.asarray(result.outcome), np.asarray(result.ended)
+    good, numbers = successes(problem, outcome, result.responses)
     shape = grid[0].shape
     responses = {name: numbers[name].reshape(shape) for name in problem.response_names}
     reasons = {
@@ -121,7 +120,7 @@ def sweep(
         )
         for i in np.flatnonzero(~good)
     }
-    return Sweep(problem, axes, responses, reasons, told(problem, found.checks, good))
+    return Sweep(problem, axes, responses, reasons, sentences_among(problem, result.checks, good))
 
 
 def _axis(name: str, values: Any, problem: Problem) -> np.ndarray:

@@ -99,17 +99,17 @@ def _stiffness(rates: ContactRates) -> float:
 def _touches(mechanism: Mechanism) -> bool:
     """Whether a contact may open and close."""
     laws = (
-        own.contact
+        law.contact
         for joint in mechanism.topology.clearances
-        for own in mechanism.connections[joint].joint.contact_laws()
+        for law in mechanism.connections[joint].joint.contact_laws()
     )
     return any(law.compliant for law in laws)
 
 
 def _bristles(mechanism: Mechanism, joint: str) -> bool:
     laws: list[AbstractForceFriction] = [
-        own.friction
-        for own in mechanism.connections[joint].joint.contact_laws()
-        if own.friction is not None and not own.friction.set_valued
+        law.friction
+        for law in mechanism.connections[joint].joint.contact_laws()
+        if law.friction is not None and not law.friction.set_valued
     ]
     return any(law.bristles > 0 for law in laws)

@@ -8,9 +8,10 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax.scipy.special import ndtr
+import scipy.special
 
 from jaxclear.ground.arguments import check_number, expect
+from jaxclear.ground.array_functions import on_host
 from jaxclear.ground.quantity import Scalar, is_one_number, is_traced, quantity
 from jaxclear.ground.warning import warn
 from jaxclear.ground.wording import described, listed, meant
@@ -26,7 +27,7 @@ from jaxclear.studies.experiment import (
 )
 
 # The least quantile of a response that studies tell.
-TOLD_QUANTILE = 0.05
+LEAST_QUANTILE = 0.05
 # A derived number and the mechanism's own may differ by this share: data sheets round.
 SAME = 1e-3
 
@@ -127,49 +128,50 @@ class Variable(AbstractMechanismVariable):
         return eqx.tree_at(self.leaves, subject, new)
 
     def followed(self, subject, value):
-        for where, found in self.derived:
-            leaves = lambda own: jax.tree.leaves(where(own))
-            subject = eqx.tree_at(leaves, subject, [jnp.asarray(found(subject), float)])
+        for where, compute in self.derived:
+            leaves = lambda tree: jax.tree.leaves(where(tree))
+            subject = eqx.tree_at(leaves, subject, [jnp.asarray(compute(subject), float)])
         return subject
 
     def check(self, name, mechanism):
         _check_place(name, self.where, mechanism)
-        own = self.leaves(mechanism)
-        if self.parts and len(own) != len(self.parts):
+        leaves = self.leaves(mechanism)
+        if self.parts and len(leaves) != len(self.parts):
             raise ValueError(
-                f'variable "{name}" points at {len(own)} numbers, and its distribution is that of '
-                f"{len(self.parts)}: {listed(self.parts)}."
+                f'variable "{name}" points at {len(leaves)} numbers, and its distribution is that '
+                f"of {len(self.parts)}: {listed(self.parts)}."
             )
-        if is_traced((own, self.distribution)):
+        if is_traced((leaves, self.distribution)):
             return
         for path, leaf, metadata, unit in numbers_of_parts(mechanism):
-            for place in [i for i, one in enumerate(own) if leaf is one]:
+            for place in [i for i, one in enumerate(leaves) if leaf is one]:
                 distribution = marginals_of(self.distribution)[place if self.parts else 0]
-                _warn_of_lost(name, distribution, leaf, (path, metadata, unit))
+                _warn_of_cut_off(name, on_host(distribution), float(leaf), (path, metadata, unit))
 
     def told(self, name, subject):
         leaves = jax.tree_util.tree_leaves_with_path(subject)
-        known = {id(leaf): jax.tree_util.keystr(path).lstrip(".") for path, leaf in leaves}
-        places = ", ".join(known[id(leaf)] for leaf in self.leaves(subject))
+        paths = {id(leaf): jax.tree_util.keystr(path).lstrip(".") for path, leaf in leaves}
+        places = ", ".join(paths[id(leaf)] for leaf in self.leaves(subject))
         derived = {f'what "{name}" derives': self.derived} if self.derived else {}
         return {f'what "{name}" points at': places} | derived
 
     def check_derived(self, name, mechanism, varied):
-        known = {id(leaf) for leaf in jax.tree.leaves(mechanism)} - varied
+        unvaried = {id(leaf) for leaf in jax.tree.leaves(mechanism)} - varied
         for where, value in self.derived:
             what = f'what variable "{name}" derives'
-            leaves = jax.tree.leaves(_asked(f"the place of {what}", where, mechanism))
-            found = _asked(what, value, mechanism)
-            own: Any = leaves[0] if len(leaves) == 1 else leaves
-            if id(own) not in known or jnp.ndim(own) != 0:
+            leaves = jax.tree.leaves(_evaluate_user(f"the place of {what}", where, mechanism))
+            result = _evaluate_user(what, value, mechanism)
+            leaf: Any = leaves[0] if len(leaves) == 1 else leaves
+            if id(leaf) not in unvaried or jnp.ndim(leaf) != 0:
                 raise ValueError(
-                    f'variable "{name}" derives {described(own)}; it must be one number of the '
+                    f'variable "{name}" derives {described(leaf)}; it must be one number of the '
                     "mechanism, which no variable sets."
                 )
-            if not jnp.allclose(own, found, rtol=SAME, atol=0.0):
+            if not jnp.allclose(leaf, result, rtol=SAME, atol=0.0):
                 raise ValueError(
-                    f'variable "{name}" derives a number that is {float(found):.6g} at nominal, '
-                    f"where the mechanism has {float(own):.6g}; give the mechanism what it derives."
+                    f'variable "{name}" derives a number that is {float(result):.6g} at '
+                    f"nominal, where the mechanism has {float(leaf):.6g}; give the mechanism "
+                    "what it derives."
                 )
 
 
@@ -196,11 +198,11 @@ class Heating:
                 )
             for name, value in expansion.items():
                 check_number(f'expansion of body "{name}" in a Heating', value, "1/K")
-            own: Any = tuple((str(name), float(value)) for name, value in expansion.items())
+            pairs: Any = tuple((str(name), float(value)) for name, value in expansion.items())
         else:
             check_number("expansion of a Heating", expansion, "1/K")
-            own = float(expansion)
-        object.__setattr__(self, "expansion", own)
+            pairs = float(expansion)
+        object.__setattr__(self, "expansion", pairs)
 
     def __call__(self, mechanism: Mechanism, rise: Any) -> Mechanism:
         """The mechanism at a higher temperature.
@@ -212,9 +214,9 @@ class Heating:
         Returns:
             The new `Mechanism`.
         """
-        own = self.expansion
+        expansion = self.expansion
         return apply_thermal_expansion(
-            mechanism, rise, dict(own) if isinstance(own, tuple) else own
+            mechanism, rise, dict(expansion) if isinstance(expansion, tuple) else expansion
         )
 
 
@@ -268,9 +270,9 @@ class Condition(AbstractFreeVariable, AbstractMechanismVariable):
         return self.acts(subject, value)
 
     def check(self, name, mechanism):
-        found = self.acts(mechanism, self.nominal)
-        expect(found, Mechanism, f'what condition "{name}" makes of the mechanism', "a mechanism")
-        if jax.tree.structure(found) != jax.tree.structure(mechanism):
+        result = self.acts(mechanism, self.nominal)
+        expect(result, Mechanism, f'what condition "{name}" makes of the mechanism', "a mechanism")
+        if jax.tree.structure(result) != jax.tree.structure(mechanism):
             raise ValueError(
                 f'condition "{name}" makes another mechanism (other parts, not other numbers); '
                 "change numbers only, as with equinox.tree_at."
@@ -285,34 +287,34 @@ def _listed(derived: Any) -> Any:
     return derived
 
 
-def _pair(given: Any) -> tuple[Callable, Callable]:
+def _pair(pair: Any) -> tuple[Callable, Callable]:
     """Where a derived number stands, and what it is."""
-    if not isinstance(given, (tuple, list)) or len(given) != 2 or not all(map(callable, given)):
+    if not isinstance(pair, (tuple, list)) or len(pair) != 2 or not all(map(callable, pair)):
         raise ValueError(
-            f"derived of a Variable holds {described(given)}; each must be a pair of functions of "
+            f"derived of a Variable holds {described(pair)}; each must be a pair of functions of "
             "a mechanism: where a number stands, and what it is."
         )
-    return tuple(given)
+    return tuple(pair)
 
 
 def check_variables(variables: dict[str, Any], mechanism: Mechanism) -> None:
     """Each points at numbers of the mechanism of its own, or is a condition."""
     for name, variable in variables.items():
-        wanted = "a jaxclear.Variable, or a jaxclear.Condition"
-        expect(variable, AbstractMechanismVariable, f'variable "{name}"', wanted)
+        expected = "a jaxclear.Variable, or a jaxclear.Condition"
+        expect(variable, AbstractMechanismVariable, f'variable "{name}"', expected)
         variable.check(name, mechanism)
     leaves = {name: variable.leaves(mechanism) for name, variable in variables.items()}
-    _check_apart(leaves)
-    varied = {id(leaf) for own in leaves.values() for leaf in own}
+    _check_distinct(leaves)
+    varied = {id(leaf) for group in leaves.values() for leaf in group}
     for name, variable in variables.items():
         variable.check_derived(name, mechanism, varied)
 
 
-def _check_apart(leaves: dict[str, list]) -> None:
+def _check_distinct(leaves: dict[str, list]) -> None:
     """Each number of the mechanism may vary by one variable only."""
     taken: dict[int, str] = {}
-    for name, own in leaves.items():
-        for leaf in own:
+    for name, group in leaves.items():
+        for leaf in group:
             other = taken.setdefault(id(leaf), name)
             if other != name:
                 raise ValueError(
@@ -321,22 +323,22 @@ def _check_apart(leaves: dict[str, list]) -> None:
                 )
 
 
-def _warn_of_lost(name: str, distribution: Any, leaf: Any, number: tuple[str, Any, str]) -> None:
+def _warn_of_cut_off(name: str, distribution: Any, leaf: Any, number: tuple[str, Any, str]) -> None:
     """Warns where more than the twentieth that studies tell of, the 5 % quantile, lies where the
     number cannot be."""
     path, metadata, unit = number
     unit = "" if unit == "1" else f" {unit}"
     low, high = (
-        metadata.get(strict, metadata.get(held))
-        for strict, held in (("above", "at_least"), ("below", "at_most"))
+        metadata.get(strict, metadata.get(inclusive))
+        for strict, inclusive in (("above", "at_least"), ("below", "at_most"))
     )
     for words, bound, sign in (("below", low, 1), ("above", high, -1)):
-        edge = TOLD_QUANTILE if sign == 1 else 1 - TOLD_QUANTILE
-        if bound is None or sign * (leaf + distribution.quantile(jnp.asarray(edge)) - bound) >= 0:
+        edge = LEAST_QUANTILE if sign == 1 else 1 - LEAST_QUANTILE
+        if bound is None or sign * (leaf + distribution.quantile(edge) - bound) >= 0:
             continue
-        lost = float(ndtr(sign * distribution.score(bound - leaf)))
+        part = float(scipy.special.ndtr(sign * distribution.score(bound - leaf)))
         warn(
-            f'variable "{name}": {100 * lost:.2g} % of its distribution lie {words} {bound:g}{unit}'
+            f'variable "{name}": {100 * part:.2g} % of its distribution lie {words} {bound:g}{unit}'
             f", where {path} cannot be. Such samples fail, and statistics are of the others."
         )
 
@@ -344,10 +346,10 @@ def _warn_of_lost(name: str, distribution: Any, leaf: Any, number: tuple[str, An
 def _check_place(name: str, where: Callable, mechanism: Mechanism) -> None:
     """What a variable of a mechanism points at."""
     what = f'variable "{name}" points at nothing in this mechanism: its `where`'
-    target = _asked(what, where, mechanism)
+    target = _evaluate_user(what, where, mechanism)
     leaves = target if isinstance(target, (tuple, list)) else [target]
-    known = {id(leaf) for leaf in jax.tree.leaves(mechanism)}
-    if leaves and all(id(leaf) in known and jnp.ndim(leaf) == 0 for leaf in leaves):
+    leaf_ids = {id(leaf) for leaf in jax.tree.leaves(mechanism)}
+    if leaves and all(id(leaf) in leaf_ids and jnp.ndim(leaf) == 0 for leaf in leaves):
         return
     hint = ""
     if target is None:
@@ -366,7 +368,7 @@ def _check_place(name: str, where: Callable, mechanism: Mechanism) -> None:
     )
 
 
-def _asked(what: str, function: Callable, mechanism: Mechanism) -> Any:
+def _evaluate_user(what: str, function: Callable, mechanism: Mechanism) -> Any:
     """What a user's function says of a mechanism; `what`: whose it is, for a sentence."""
     try:
         return function(mechanism)

@@ -19,10 +19,10 @@ FEW_WARNED = 0.05
 
 def codes_of(checks: Checks, runs: int) -> np.ndarray:
     """Of what each run warns, (runs,): the sum of 2^n over the numbers n of the checks."""
-    found = np.zeros(runs, np.int64)
+    codes = np.zeros(runs, np.int64)
     for check, beyond in checks.beyond().items():
-        found |= np.where(np.asarray(beyond), np.int64(1) << int(check), 0)
-    return found
+        codes |= np.where(np.asarray(beyond), np.int64(1) << int(check), 0)
+    return codes
 
 
 def any_warning(checks: Checks, runs: int) -> np.ndarray:
@@ -38,8 +38,8 @@ def warned_of(problem: Problem, response: str, checks: Checks, runs: int) -> np.
 def concerning(problem: Problem, response: str, codes: np.ndarray) -> np.ndarray:
     """The codes (runs,) of the warnings that concern a response."""
     parts = problem.description.responses[response].depends_on
-    own = [check for check in Check if check.concerns in parts]
-    return codes & np.int64(sum(1 << int(check) for check in own))
+    checks = [check for check in Check if check.concerns in parts]
+    return codes & np.int64(sum(1 << int(check) for check in checks))
 
 
 def concern(
@@ -47,8 +47,8 @@ def concern(
 ) -> tuple[float, str]:
     """Share of the runs `among` (runs,) whose warnings concern a response, and a sentence that
     tells them; "" where there are none."""
-    own = concerning(problem, response, codes_of(checks, len(among)))[among]
-    return _share(own), _sentence(own)
+    codes = concerning(problem, response, codes_of(checks, len(among)))[among]
+    return _share(codes), _sentence(codes)
 
 
 def warned_share(problem: Problem, response: str, codes: np.ndarray) -> float:
@@ -61,28 +61,28 @@ def sentences(
 ) -> tuple[str, ...]:
     """How many of a study's runs warn of what concerns its responses (all, or these), one sentence
     for those of which the same is to be said; `codes` (runs,) of the runs that count."""
-    alike: dict[str, list[str]] = {}
-    known = problem.response_names
-    for name in known if responses is None else [own for own in known if own in responses]:
-        said = _sentence(concerning(problem, name, codes))
-        if said:
-            alike.setdefault(said, []).append(name)
-    return tuple(f"{listed(names)}: {said}" for said, names in alike.items())
+    by_sentence: dict[str, list[str]] = {}
+    names = problem.response_names
+    for name in names if responses is None else [n for n in names if n in responses]:
+        sentence = _sentence(concerning(problem, name, codes))
+        if sentence:
+            by_sentence.setdefault(sentence, []).append(name)
+    return tuple(f"{listed(names)}: {sentence}" for sentence, names in by_sentence.items())
 
 
-def told(problem: Problem, checks: Checks, among: np.ndarray) -> tuple[str, ...]:
+def sentences_among(problem: Problem, checks: Checks, among: np.ndarray) -> tuple[str, ...]:
     """The `sentences` of a study that sees all its runs at once, of which those `among` (runs,)
     count."""
     return sentences(problem, codes_of(checks, len(among))[among])
 
 
-def _share(own: np.ndarray) -> float:
-    return float(np.mean(own != 0)) if len(own) else 0.0
+def _share(codes: np.ndarray) -> float:
+    return float(np.mean(codes != 0)) if len(codes) else 0.0
 
 
-def _sentence(own: np.ndarray) -> str:
-    kinds = by_kind(own)
-    return f"{np.sum(own != 0)} of {len(own)} runs warn ({in_words(kinds)})." if kinds else ""
+def _sentence(codes: np.ndarray) -> str:
+    kinds = by_kind(codes)
+    return f"{np.sum(codes != 0)} of {len(codes)} runs warn ({in_words(kinds)})." if kinds else ""
 
 
 def counted(checks: Checks, among: np.ndarray) -> dict[Check, int]:
@@ -92,9 +92,9 @@ def counted(checks: Checks, among: np.ndarray) -> dict[Check, int]:
 
 def by_kind(codes: np.ndarray) -> dict[Check, int]:
     """How many runs warn of what, most frequent first, of the codes (runs,) of all."""
-    found = {check: int(np.sum(codes >> int(check) & 1)) for check in Check}
-    order = sorted(found, key=lambda check: -found[check])
-    return {check: found[check] for check in order if found[check]}
+    counts = {check: int(np.sum(codes >> int(check) & 1)) for check in Check}
+    order = sorted(counts, key=lambda check: -counts[check])
+    return {check: counts[check] for check in order if counts[check]}
 
 
 def in_words(counts: dict[Check, int]) -> str:

@@ -29,7 +29,7 @@ from jaxclear.integrators import Outcome
 from jaxclear.integrators.checks import Checks
 from jaxclear.studies.answer import RESPONSE, TABLE, VARIABLE, AbstractAnswer, Column, Stated
 from jaxclear.studies.distribution.base import END_SCORE
-from jaxclear.studies.endless import finite_beside, successes, why_unanswered
+from jaxclear.studies.endless import replace_infinite, successes, why_unanswered
 from jaxclear.studies.problem import Problem
 from jaxclear.studies.sampling import check_sampled
 from jaxclear.studies.scrambling import scrambled_shares
@@ -80,21 +80,21 @@ class WorstCase(AbstractAnswer):
     def sentence(self) -> str:
         """Between which values each response lies over the box, as far as the runs found."""
         units = self.problem.units()
-        said = []
+        sentences = []
         for name in self.nominal:
             ends = f"{self.least[name].value:.4g} and {self.largest[name].value:.4g} {units[name]}"
-            said.append(f'"{name}" lies between {ends.removesuffix(" 1")} over the box.')
-        return " ".join(said)
+            sentences.append(f'"{name}" lies between {ends.removesuffix(" 1")} over the box.')
+        return " ".join(sentences)
 
     def _stated(self):
         problem, ends = self.problem, {"least": self.least, "largest": self.largest}
         names, over = list(self.nominal), (RESPONSE, "end")
-        grid = lambda read: [[read(own[name]) for own in ends.values()] for name in names]
+        grid = lambda read: [[read(points[name]) for points in ends.values()] for name in names]
         columns = {
             "unit": Column((RESPONSE,), {n: problem.units()[n] for n in names}),
             "nominal": Column((RESPONSE,), self.nominal),
         }
-        for end, own in ends.items():
+        for end, points in ends.items():
             rows = {
                 end: lambda one: one.value,
                 f"{end} of first order": lambda one: one.first_order,
@@ -104,7 +104,7 @@ class WorstCase(AbstractAnswer):
                 rows[f"{end}: {name}"] = lambda one, i=i: float(one.values[i])
                 units[f"{end}: {name}"] = problem.variable_units[i]
             for label, read in rows.items():
-                values = {name: read(own[name]) for name in names}
+                values = {name: read(points[name]) for name in names}
                 columns[label] = Column((RESPONSE,), values, units[label], only=TABLE)
         place = grid(lambda one: one.values)
         columns |= {
@@ -170,23 +170,23 @@ def worst_case(
     extremes: dict[int, dict] = {-1: {}, 1: {}}
     for name in problem.response_names:
         slopes = search.slopes(name, nominal)
-        for sign, found in extremes.items():
+        for sign, extreme in extremes.items():
             corner = search.corner(sign * slopes, nominal)
             first = float(responses[name][0] + slopes @ (corner - nominal))
             order = np.argsort(np.where(np.isnan(responses[name]), np.inf, -sign * responses[name]))
             starts = [corner, *points[order[:STARTS]]]
-            found[name] = search.climbed(name, sign, starts, first)
+            extreme[name] = search.climbed(name, sign, starts, first)
     at_nominal = {name: float(responses[name][0]) for name in problem.response_names}
     least, largest = extremes[-1], extremes[1]
     warnings = unanswered + search.warnings(nominal, {"least": least, "largest": largest})
-    told = at_nominal, least, largest, failed
-    return WorstCase(problem, low, high, *told, len(points), search.runs, warnings)
+    values = at_nominal, least, largest, failed
+    return WorstCase(problem, low, high, *values, len(points), search.runs, warnings)
 
 
 def corners_of(low: np.ndarray, high: np.ndarray) -> np.ndarray:
     """All corners of a box (corners, variables); none where they are too many."""
-    ends = [np.unique(own) for own in zip(low, high, strict=True)]
-    if math.prod(len(own) for own in ends) > MOST_CORNERS:
+    ends = [np.unique(pair) for pair in zip(low, high, strict=True)]
+    if math.prod(len(pair) for pair in ends) > MOST_CORNERS:
         return np.zeros((0, len(low)))
     return np.array(list(itertools.product(*ends)))
 
@@ -194,14 +194,14 @@ def corners_of(low: np.ndarray, high: np.ndarray) -> np.ndarray:
 def box(problem: Problem, sigmas: float) -> tuple[np.ndarray, np.ndarray]:
     """Least and largest value of each variable, (variables,) each."""
     nominal, ends = np.asarray(problem.nominal()), []
-    for own in problem.inputs.distributions:
-        cut = np.array(own.end_densities()) > 0
-        scores = np.where(cut | (not own.is_continuous()), END_SCORE, sigmas)
-        ends.append(np.asarray(own.of_score(jnp.asarray(np.array([-1.0, 1.0]) * scores))))
+    for distribution in problem.inputs.distributions:
+        cut = np.array(distribution.end_densities()) > 0
+        scores = np.where(cut | (not distribution.is_continuous()), END_SCORE, sigmas)
+        ends.append(np.asarray(distribution.of_score(np.array([-1.0, 1.0]) * scores)))
     for first, joint in problem.inputs.joints:
-        for i, own in enumerate(joint.marginals(), first):
+        for i, distribution in enumerate(joint.marginals(), first):
             # To the last digit: the edge of a disc is its worst.
-            last = np.asarray(own.quantile(jnp.array([0.0, 1.0])))
+            last = np.asarray(distribution.quantile(jnp.array([0.0, 1.0])))
             ends[i] = np.where(np.isfinite(last), last, ends[i])
     low, high = np.array(ends).T
     return nominal + low, nominal + high
@@ -210,9 +210,9 @@ def box(problem: Problem, sigmas: float) -> tuple[np.ndarray, np.ndarray]:
 def confined(problem: Problem, values: Any) -> Any:
     """Values (..., variables) in the box brought to where numbers that vary together can be."""
     joints, nominal = problem.inputs.joints, problem.nominal()
-    for first, own in joints:
-        part = slice(first, first + len(own.parts))
-        near = own.nearest(values[..., part] - nominal[part])
+    for first, joint_law in joints:
+        part = slice(first, first + len(joint_law.parts))
+        near = joint_law.nearest(values[..., part] - nominal[part])
         values = values.at[..., part].set(nominal[part] + near)
     return values
 
@@ -220,11 +220,11 @@ def confined(problem: Problem, values: Any) -> Any:
 @eqx.filter_jit
 def _value_and_slopes(problem, name, values):
     def response(values):
-        found = problem.evaluate(confined(problem, values))
-        return found.responses[name], found
+        result = problem.evaluate(confined(problem, values))
+        return result.responses[name], result
 
-    slopes, found = jax.jacfwd(response, has_aux=True)(values)
-    return found.responses[name], slopes, found.outcome, found.checks
+    slopes, result = jax.jacfwd(response, has_aux=True)(values)
+    return result.responses[name], slopes, result.outcome, result.checks
 
 
 class Search:
@@ -250,67 +250,67 @@ class Search:
         """The farthest point along slopes (variables,)."""
         high, low = self.high, self.low
         corner = np.where(slopes > 0, high, np.where(slopes < 0, low, nominal))
-        for first, own in self.joints:
-            part = slice(first, first + len(own.parts))
+        for first, joint_law in self.joints:
+            part = slice(first, first + len(joint_law.parts))
             steep = np.abs(slopes[part]).max()
             away = slopes[part] / (steep or 1.0) * FAR * (high - low)[part].max()
-            corner[part] = nominal[part] + np.asarray(own.nearest(jnp.asarray(away)))
+            corner[part] = nominal[part] + np.asarray(joint_law.nearest(jnp.asarray(away)))
         return np.clip(corner, low, high)
 
     def responses(self, points: np.ndarray) -> dict[str, np.ndarray]:
         """By name at points (points, variables); nan where one failed."""
         self.runs += len(points)
-        found = evaluate_all(
+        result = evaluate_all(
             self.problem, jnp.asarray(points), progress_bar=self.bar, label="worst case"
         )
-        self._keep(points, found.checks)
-        good, responses = successes(self.problem, found.outcome, found.responses)
-        self.failed, self.ends = ~good, (np.asarray(found.outcome), np.asarray(found.ended))
+        self._keep(points, result.checks)
+        good, responses = successes(self.problem, result.outcome, result.responses)
+        self.failed, self.ends = ~good, (np.asarray(result.outcome), np.asarray(result.ended))
         return responses
 
     def unanswered(self, points: np.ndarray, corners: int) -> tuple[str, ...]:
         """How many of the points asked last have no answer, the first of which is the nominal one
         and the next are `corners`, and why the first of them has none."""
-        lost = np.flatnonzero(self.failed)
-        if not len(lost):
+        failures = np.flatnonzero(self.failed)
+        if not len(failures):
             return ()
-        outcome, ended = (own[lost[0]] for own in self.ends)
+        outcome, ended = (end[failures[0]] for end in self.ends)
         why = why_unanswered(self.problem, outcome, ended).rstrip(".")
-        at = int(np.sum((lost > 0) & (lost <= corners)))
+        at = int(np.sum((failures > 0) & (failures <= corners)))
         among = f", {at} of its {corners} corners among them," if corners else ""
         return (
-            f"{len(lost)} of {len(points)} points of the box{among} cannot be built or have no "
+            f"{len(failures)} of {len(points)} points of the box{among} cannot be built or have no "
             f"answer (the first of them: {why}). The least and the largest are those of the part "
             "that has, and may lie on its edge.",
         )
 
     def _keep(self, points: np.ndarray, checks: Checks) -> None:
         codes = codes_of(checks, len(points)).tolist()
-        self.codes |= zip((own.tobytes() for own in points), codes, strict=True)
+        self.codes |= zip((point.tobytes() for point in points), codes, strict=True)
 
     def warnings(self, nominal: np.ndarray, ends: dict[str, dict[str, Extreme]]) -> tuple[str, ...]:
         """Which of the nominal values and the extremes are of runs that warn of what concerns
         them, and of what."""
-        said = []
+        sentences = []
         for name in self.problem.response_names:
-            places = {"nominal": nominal} | {end: own[name].values for end, own in ends.items()}
+            places = {"nominal": nominal} | {end: data[name].values for end, data in ends.items()}
             for end, at in places.items():
-                own = np.array([self.codes.get(at.tobytes(), 0)])
-                kinds = by_kind(concerning(self.problem, name, own))
+                codes = np.array([self.codes.get(at.tobytes(), 0)])
+                kinds = by_kind(concerning(self.problem, name, codes))
                 if kinds:
                     labels = ", ".join(check.label for check in kinds)
-                    said.append(f'The run of the {end} "{name}" warns ({labels}).')
-        return tuple(said)
+                    sentences.append(f'The run of the {end} "{name}" warns ({labels}).')
+        return tuple(sentences)
 
     def slopes(self, name: str, at: np.ndarray) -> np.ndarray:
         """Of a response at a point (variables,): derivatives, or differences across the box where
         these are refused."""
         if self.differentiable:
             self.runs += 1
-            found = np.asarray(_value_and_slopes(self.problem, name, jnp.asarray(at))[1])
-            return np.where(np.isfinite(found), found, 0.0)
+            slopes = np.asarray(_value_and_slopes(self.problem, name, jnp.asarray(at))[1])
+            return np.where(np.isfinite(slopes), slopes, 0.0)
         both = np.stack([np.where(np.eye(len(at)), end, at) for end in (self.low, self.high)])
-        ends = finite_beside(self.responses(both.reshape(-1, len(at)))[name].reshape(2, -1))
+        ends = replace_infinite(self.responses(both.reshape(-1, len(at)))[name].reshape(2, -1))
         width = self.high - self.low
         return np.nan_to_num((ends[1] - ends[0]) / np.where(width > 0, width, 1.0))
 
@@ -329,11 +329,11 @@ class Search:
         size = 1.0
         best = (np.nan, start)
 
-        def asked(share):
+        def evaluate(share):
             nonlocal best
             at = np.clip(self.low + share * width, self.low, self.high)
-            told = _value_and_slopes(self.problem, name, jnp.asarray(at))
-            value, slopes, outcome, checks = told
+            outputs = _value_and_slopes(self.problem, name, jnp.asarray(at))
+            value, slopes, outcome, checks = outputs
             at = self.confined(at)
             self.runs += 1
             self._keep(at[None], checks)
@@ -343,13 +343,13 @@ class Search:
                 best = (float(value), at)
             return -sign * float(value) / size, -sign * np.asarray(slopes) * width / size
 
-        begun, slope = asked((start - self.low) / width)
+        first, slope = evaluate((start - self.low) / width)
         # Numbers of any unit: what the box can change is 1.
         size = float(np.sum(np.abs(slope))) or 1.0
-        if np.isfinite(begun):
+        if np.isfinite(first):
             bounds = [(0.0, float(above)) for above in self.high > self.low]
             scipy.optimize.minimize(
-                asked, (start - self.low) / width, jac=True, method="L-BFGS-B", bounds=bounds
+                evaluate, (start - self.low) / width, jac=True, method="L-BFGS-B", bounds=bounds
             )
         return best
 
@@ -361,10 +361,10 @@ class Search:
                 break
             moves = step * (self.high - self.low) * np.concatenate([np.eye(count), -np.eye(count)])
             around = self.confined(np.clip(start + moves, self.low, self.high))
-            found = self.responses(around)[name]
-            best = 0 if np.isnan(found).all() else int(np.nanargmax(sign * found))
-            if np.isnan(value) or sign * found[best] > sign * value:
-                value, start = float(found[best]), around[best]
+            values = self.responses(around)[name]
+            best = 0 if np.isnan(values).all() else int(np.nanargmax(sign * values))
+            if np.isnan(value) or sign * values[best] > sign * value:
+                value, start = float(values[best]), around[best]
             else:
                 step *= 0.5
         return value, start

@@ -12,7 +12,7 @@ import pytest
 import jaxclear as jc
 from jaxclear.studies.identification import models
 from jaxclear.studies.identification.by_signal import by_signal
-from jaxclear.studies.identification.several_records import left_out
+from jaxclear.studies.identification.several_records import leave_one_out
 from tests.rigs.measured_damper import RECORDS, damper, energy, marched, mechanism, records
 
 MEASURED = records()
@@ -58,7 +58,7 @@ def test_first_peaks_are_underestimated_by_a_fifth_to_a_third(one_record):
 @pytest.mark.slow
 def test_the_gap_is_told_only_with_an_assumption_on_the_spring(two_models):
     linear, rising = (two_models.fits[name][0].unknowns["gap"] for name in ("linear", "rising"))
-    assert two_models.kept.models == ("rising", "linear")
+    assert two_models.choice.models == ("rising", "linear")
     assert linear.low > 1.9 and linear.high < 2.7
     # A spring that stiffens explains the record with any gap from none on.
     assert rising.low == 0.0 and 1.7 < rising.high < 2.4
@@ -84,7 +84,7 @@ def test_the_next_record_lies_where_four_others_say():
     fits = found.fits["linear"]
     for name in ("plateau", "lost motion", "stiffness"):
         told = [{**own.unknowns, **own.answers}[name] for own in fits]
-        for value, others in left_out(told):
+        for value, others in leave_one_out(told):
             assert others.low < value < others.high
     # What one record tells of itself leaves the plateaus of others out.
     first = fits[0].unknowns["plateau"]

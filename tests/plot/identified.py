@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from jaxclear.studies.identification.regression import predict as regressed
 from jaxclear.studies.identification.regression import regression
-from jaxclear.studies.identification.regression import told as regressed
 from jaxclear.studies.identification.result import (
     Evidence,
     Identified,

@@ -59,7 +59,7 @@ def test_the_first_cycle_of_a_seated_start_wears_as_the_settled_one():
     rig = slider_crank()
     problem = lambda state: jc.settled(rig, TURN, state=state, cycles=8, throw=False)
     lost = [
-        [float(one.lost["A"]["bearing"]) for one in problem(state).settling.cycles]
+        [float(one.volumes["A"]["bearing"]) for one in problem(state).settling.cycles]
         for state in (None, jc.seated(rig))
     ]
     settled = np.mean([own[-1] for own in lost])

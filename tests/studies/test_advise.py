@@ -9,7 +9,7 @@ import pytest
 import jaxclear as jc
 from jaxclear import plot
 from jaxclear.ground.printing import as_typed
-from jaxclear.studies.advice import PRESENT, Asked
+from jaxclear.studies.advice import PRESENT, Accuracy
 
 THREE = jc.PilotSettings(copies=3)
 ALONE = jc.PilotSettings(copies=1)
@@ -120,9 +120,9 @@ def test_errors_told_are_errors_made(advice, truth):
 
 
 def test_less_accuracy_is_never_dearer_and_runs_nothing_twice(advice):
-    known = len(advice.copies._known)
+    known = len(advice.copies._cache)
     works = [advice.at(accuracy).chosen.work for accuracy in (1e-1, 1e-2, 1e-3)]
-    assert works == sorted(works) and len(advice.copies._known) <= known + 6
+    assert works == sorted(works) and len(advice.copies._cache) <= known + 6
     again = advice.at(1e-3)
     assert as_typed(again.recommended) == as_typed(advice.recommended)
 
@@ -199,7 +199,7 @@ def test_copies_that_cannot_be_are_left_out():
 
 
 def test_the_worst_of_a_few_copies_leaves_something_to_those_not_seen():
-    asked = Asked(0.01)
+    asked = Accuracy(0.01)
     assert [asked.limit(n) for n in (1, 3, 9)] == pytest.approx([0.01, 0.005, 0.0075])
 
 

@@ -86,7 +86,7 @@ def test_who_is_at_a_chunk_that_is_to_have_more_samples_harms_nobody(
     campaign(5000, tmp_path)
     late = Samples.open(tmp_path)
     late.store.path(late.address(1)).unlink()
-    late._whole.clear()
+    late._done.clear()
     late.extend(10_000, 4096)
     if not late_is_first:
         campaign(10_000, tmp_path)

@@ -459,10 +459,10 @@ def test_a_limit_whose_error_crosses_its_bound_is_not_said_to_hold(plain):
     as was asked keeps its word."""
     last = plain.rounds[-1]
     check = last.check._replace(excess=np.array([-0.01]), excess_errors=np.array([0.02]))
-    assert list(check.kept(0.005)) == [False]
-    assert list(check._replace(excess=np.array([-0.03])).kept(0.005)) == [True]
+    assert list(check.holds(0.005)) == [False]
+    assert list(check._replace(excess=np.array([-0.03])).holds(0.005)) == [True]
     near = check._replace(excess=np.array([0.004]), excess_errors=np.array([0.004]))
-    assert list(near.kept(0.005)) == [True]
+    assert list(near.holds(0.005)) == [True]
     rounds = (*plain.rounds[:-1], last._replace(check=check))
     vague = dataclasses.replace(plain, rounds=rounds, excess=check.excess)
     assert not vague.holds and not vague.limit_table()["holds"].any()

@@ -15,7 +15,7 @@ from jaxclear.integrators import Outcome
 from jaxclear.studies.design.question import Question, checked_limits, freedom_of
 from jaxclear.studies.design.runs import Runs
 from jaxclear.studies.design.verification import GROUPS, Verifier, _finite
-from jaxclear.studies.endless import finite_beside, successes
+from jaxclear.studies.endless import replace_infinite, successes
 from jaxclear.studies.experiment import Cost, Description, ResponseInfo, SampleResult
 from jaxclear.studies.reliability.models import RunModel
 from jaxclear.studies.reliability.subset import subset
@@ -322,9 +322,9 @@ def test_quantiles_and_stand_ins_of_infinite_values():
     assert [ordinary_quantile(values, q) for q in (0.0, 0.25, 0.5)] == [1.0, 2.0, 3.0]
     assert ordinary_quantile(values, 0.4) == pytest.approx(2.6)
     assert ordinary_quantile(values, 0.51) == ordinary_quantile(values, 1.0) == np.inf
-    np.testing.assert_array_equal(finite_beside(values, 10.0)[[0, 1, 3]], values[[0, 1, 3]])
-    assert np.all(finite_beside(values, 10.0)[[2, 4]] == 19.0)
-    assert np.isnan(finite_beside(np.array([np.nan, -np.inf]))[0])
+    np.testing.assert_array_equal(replace_infinite(values, 10.0)[[0, 1, 3]], values[[0, 1, 3]])
+    assert np.all(replace_infinite(values, 10.0)[[2, 4]] == 19.0)
+    assert np.isnan(replace_infinite(np.array([np.nan, -np.inf]))[0])
 
 
 def test_what_failed_has_no_number_in_any_response(lasting):

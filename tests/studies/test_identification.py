@@ -39,7 +39,7 @@ def test_intervals_hold_what_they_promise_and_no_more(fitted):
     held = np.zeros((400, 3))
     width = np.zeros((400, 3))
     for i, own in enumerate(statistics(shares, rng)):
-        for k, one in enumerate(regression.told(fitted, own)):
+        for k, one in enumerate(regression.predict(fitted, own)):
             held[i, k] = one.low <= shares[i, k] <= one.high
             width[i, k] = one.high - one.low
     # One sample serves all: its own scatter beside that of 400 trials.
@@ -79,7 +79,7 @@ def test_residuals_are_those_of_runs_that_were_not_seen(together):
     mean = unknowns.mean(0)
     weights = vectors @ (inverse[:, None] * (vectors.T @ (unknowns - mean)))
     given = None if together == 1 else groups
-    found = regression._left_out(vectors, inverse, weights, given)
+    found = regression._leave_out_residuals(vectors, inverse, weights, given)
     for group in np.unique(groups):
         out = groups == group
         seen = np.linalg.solve(

@@ -17,7 +17,7 @@ def life():
 
 
 def test_the_volume_of_a_cycle_stays_to_rounding_while_depth_slows(life):
-    each = [stage.settled.last.lost["B"]["bearing"] for stage in life.stages[1:]]
+    each = [stage.settled.last.volumes["B"]["bearing"] for stage in life.stages[1:]]
     np.testing.assert_allclose(each, lost(CLEARANCE), rtol=1e-9)
     places = np.array([0.1, 0.2, 0.4, 0.8, 1.0]) * CYCLES
     depths = np.array([float(life.over_life("depth", n)) for n in places])

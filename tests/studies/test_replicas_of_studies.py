@@ -170,7 +170,7 @@ def test_the_same_samples_have_replicas_whatever_the_chunks_and_growth(study):
             np.testing.assert_allclose(one.replicas.responses[name], told, rtol=1e-12)
     few = jc.monte_carlo(falling(), 5)
     assert few.replicas.count == 5
-    np.testing.assert_array_equal(few.replicas.own["way"], few.responses["way"])
+    np.testing.assert_array_equal(few.replicas.coarse["way"], few.responses["way"])
 
 
 def test_a_study_that_is_not_verified_says_so(study):

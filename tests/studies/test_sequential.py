@@ -8,7 +8,7 @@ import pytest
 import jaxclear as jc
 from jaxclear.studies.sampling import Drawing, groups
 from jaxclear.studies.sequential import Grown
-from jaxclear.studies.statistics.accuracy import told
+from jaxclear.studies.statistics.accuracy import missed_accuracies
 from jaxclear.studies.statistics.scrambled import jackknifed
 from jaxclear.studies.store import campaign
 from jaxclear.studies.store.samples import Samples
@@ -28,7 +28,7 @@ def test_a_sample_that_grew_has_its_place_in_a_chunk_by_its_number():
     for count in (256, 512, 1024):
         sample.to(count)
     assert np.array_equal(sample.values, drawing.span(0, 1024))
-    assert np.array_equal(sample.found["number"], sample.values[:, 0])
+    assert np.array_equal(sample.result["number"], sample.values[:, 0])
     assert [places[tuple(own)] for own in sample.values] == [i % 48 for i in range(1024)]
 
 
@@ -43,8 +43,8 @@ def test_an_accuracy_is_judged_alike_whatever_the_pieces():
     for size in (1000, 300, 7):
         ends = [*range(0, 1000, size), 1000]
         pieces = [({"gap": response[a:b]}, groups(b, 8, a)) for a, b in itertools.pairwise(ends)]
-        assert not told(({"gap": 1.001 * half}, False), pieces)
-        found.append(told(({"gap": 0.999 * half}, False), pieces)["gap"])
+        assert not missed_accuracies(({"gap": 1.001 * half}, False), pieces)
+        found.append(missed_accuracies(({"gap": 0.999 * half}, False), pieces)["gap"])
     assert found[0] == found[1] == found[2]
     assert found[0][0] == pytest.approx(half, rel=1e-9)
 

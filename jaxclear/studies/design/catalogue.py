@@ -81,8 +81,8 @@ class ISO286(AbstractCatalogue):
 
     def __init__(self, size: float, grades: Any = range(FINEST, 14)):
         self.size = size
-        whole = isinstance(grades, (tuple, list, range)) and len(grades) > 0
-        if not whole or not all(isinstance(grade, int) for grade in grades):
+        is_list = isinstance(grades, (tuple, list, range)) and len(grades) > 0
+        if not is_list or not all(isinstance(grade, int) for grade in grades):
             raise ValueError(
                 f"grades of catalogue.ISO286 are {described(grades)}; they must be whole numbers, "
                 f"such as range(6, 10)."

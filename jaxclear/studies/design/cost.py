@@ -161,7 +161,7 @@ class Processes(AbstractCost):
     # Smallest and largest tolerance of each.
     ranges: Float[Array, "processes 2"]
     # The process whose cost alone counts while a design tries it, else -1.
-    held: Int[Array, ""]
+    fixed_process: Int[Array, ""]
 
     def __init__(self, processes: Any):
         what = "a dictionary from names of processes to members of jaxclear.cost"
@@ -171,8 +171,8 @@ class Processes(AbstractCost):
         for name, cost in processes.items():
             expect(cost, AbstractCost, f'process "{name}"', "one of jaxclear.cost, such as Process")
         self.names, self.costs = tuple(processes), tuple(processes.values())
-        self.ranges = jnp.asarray([own.known() for own in self.costs])
-        self.held = jnp.asarray(-1)
+        self.ranges = jnp.asarray([cost.known() for cost in self.costs])
+        self.fixed_process = jnp.asarray(-1)
 
     def known(self):
         return float(self.ranges[:, 0].min()), float("inf")
@@ -180,9 +180,9 @@ class Processes(AbstractCost):
     def __call__(self, tolerance):
         low, high = self.ranges.T
         reached = jnp.clip(tolerance, low, high)
-        each = jnp.stack([cost(own) for cost, own in zip(self.costs, reached, strict=True)])
+        each = jnp.stack([cost(value) for cost, value in zip(self.costs, reached, strict=True)])
         cheapest = jnp.min(jnp.where(tolerance < low * (1 - ROUNDING), jnp.inf, each))
-        return jnp.where(self.held < 0, cheapest, each[jnp.maximum(self.held, 0)])
+        return jnp.where(self.fixed_process < 0, cheapest, each[jnp.maximum(self.fixed_process, 0)])
 
     def process(self, tolerance: float) -> str:
         """Name of the cheapest process that can produce a tolerance.
@@ -194,12 +194,12 @@ class Processes(AbstractCost):
             The name.
         """
         prices = [
-            float(self._held_by(k)(jnp.asarray(tolerance, float)))
+            float(self._with_process(k)(jnp.asarray(tolerance, float)))
             if tolerance >= float(self.ranges[k, 0]) * (1 - ROUNDING)
             else np.inf
             for k in range(len(self.costs))
         ]
         return self.names[int(np.argmin(prices))]
 
-    def _held_by(self, process: int) -> "Processes":
-        return eqx.tree_at(lambda one: one.held, self, jnp.asarray(process))
+    def _with_process(self, process: int) -> "Processes":
+        return eqx.tree_at(lambda one: one.fixed_process, self, jnp.asarray(process))

@@ -67,10 +67,10 @@ def design(
     Raises:
         ValueError: if an argument is wrong.
     """
-    asked = _asked(problem, cost, limits, tolerance, nominal, choose)
+    question = _make_question(problem, cost, limits, tolerance, nominal, choose)
     settings = _settings(settings)
     check_flags("design", progress_bar=progress_bar)
-    return _designed(asked, _runs(problem, settings, progress_bar), settings)
+    return _designed(question, _runs(problem, settings, progress_bar), settings)
 
 
 @answering
@@ -116,21 +116,21 @@ def design_front(
     show = choices.pop("progress_bar", False)
     check_flags("design_front", progress_bar=show)
     free = [choices.get(name) for name in ("tolerance", "nominal", "choose")]
-    asked = _asked(problem, cost, limits, *free)
+    question = _make_question(problem, cost, limits, *free)
     check_count("limit of design_front", limit, at_least=0)
-    if limit >= len(asked.limits):
-        raise ValueError(f"there is no limit {limit}; there are {len(asked.limits)}, from 0 on.")
+    if limit >= len(question.limits):
+        raise ValueError(f"there is no limit {limit}; there are {len(question.limits)}, from 0 on.")
     settings = _settings(settings)
     runs = _runs(problem, settings, show)
-    found = []
+    designs = []
     for bound in bounds:
-        own = list(asked.limits)
-        own[limit] = own[limit].with_bound(bound)
-        found.append(_designed(asked.with_limits(tuple(own)), runs, settings))
-    return found
+        bounded_limits = list(question.limits)
+        bounded_limits[limit] = bounded_limits[limit].with_bound(bound)
+        designs.append(_designed(question.with_limits(tuple(bounded_limits)), runs, settings))
+    return designs
 
 
-def _asked(
+def _make_question(
     problem: Any, cost: Any, limits: Any, tolerance: Any, nominal: Any, choose: Any
 ) -> Question:
     """The question, checked."""
@@ -164,17 +164,17 @@ def _runs(problem: Problem, settings: DesignSettings, show: bool) -> Runs:
 
 def _designed(question: Question, runs: Runs, settings: DesignSettings) -> Design:
     before = runs.count, runs.computed, runs.failed
-    found = sought(question, runs, settings, _direct(runs.problem, settings))
-    return _told(found, runs, settings, before)
+    search = sought(question, runs, settings, _direct(runs.problem, settings))
+    return _make_design(search, runs, settings, before)
 
 
-def _told(found: Sought, runs: Runs, settings: DesignSettings, before: tuple) -> Design:
+def _make_design(search: Sought, runs: Runs, settings: DesignSettings, before: tuple) -> Design:
     """The last round as a result."""
-    last, question = found.rounds[-1], found.question
+    last, question = search.rounds[-1], search.question
     place = jnp.asarray(last.candidate.place)
     names = question.freedom.names
     nominal, tolerance = question.freedom.drawn(place)
-    samples = question.samples(place, found.model, found.points)
+    samples = question.samples(place, search.model, search.points)
     none = np.full(len(question.limits), np.nan)
     limited = [one.response for one in question.limits]
     check, prices = last.check, prices_of(question, last.candidate.multipliers, samples)
@@ -187,9 +187,9 @@ def _told(found: Sought, runs: Runs, settings: DesignSettings, before: tuple) ->
         none if check is None else check.numbers,
         none if check is None else check.errors,
         none if check is None else check.excess,
-        none if found.ended == "infeasible" else prices,
-        tuple(found.rounds),
-        found.ended,
+        none if search.ended == "infeasible" else prices,
+        tuple(search.rounds),
+        search.ended,
         float(settings.allowed_excess),
         runs.count - before[0],
         runs.computed - before[1],

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxclear.studies.design.cost import Processes
-from jaxclear.studies.design.optimise import KEPT, Candidate, Search, cheapest, judged
+from jaxclear.studies.design.optimise import NEGLIGIBLE_EXCESS, Candidate, Search, cheapest, judged
 from jaxclear.studies.design.question import TOLERANCE
 
 # Combinations that are all tried, at the most; where none is left out by its cost, and other
@@ -41,7 +41,7 @@ def chosen(search: Search, relaxed: Candidate) -> Candidate:
 
     def narrowed(which: tuple[int, ...]) -> Search:
         pairs = zip(options.items(), which, strict=True)
-        return _narrowed(search, {i: own[k] for (i, own), k in pairs})
+        return _narrowed(search, {i: row[k] for (i, row), k in pairs})
 
     def best(which: tuple[int, ...]) -> Candidate:
         if which not in tried:
@@ -52,28 +52,28 @@ def chosen(search: Search, relaxed: Candidate) -> Candidate:
         return tried[which]
 
     choices = search.question.freedom.choices
-    near = [_near(own, relaxed.place[i], bool(choices[i].nominals)) for i, own in options.items()]
-    here = tuple(own[0] for own in near)
+    near = [_near(row, relaxed.place[i], bool(choices[i].nominals)) for i, row in options.items()]
+    here = tuple(row[0] for row in near)
     bounded = isinstance(search.question.cost, dict)
     free = len(options) < len(search.low)
     most = MOST_COMBINATIONS if bounded or not free else MOST_UNBOUNDED
-    if np.prod([float(len(own)) for own in near]) <= most:
+    if np.prod([float(len(row)) for row in near]) <= most:
         combinations = list(itertools.product(*near))
         searches = [narrowed(which) for which in combinations]
         price = lambda one: float(one.question.price(jnp.asarray(one.high)))
         least = [price(one) if bounded else -np.inf for one in searches]
-        found = best(here)
+        result = best(here)
         for i in np.argsort(least, kind="stable"):
-            cheaper = found.broken > KEPT or least[i] < found.cost
+            cheaper = result.broken > NEGLIGIBLE_EXCESS or least[i] < result.cost
             if cheaper and not _hopeless(searches[i], relaxed.place, list(options)):
                 other = best(combinations[i])
-                found = other if other.better(found) else found
-        return found
+                result = other if other.better(result) else result
+        return result
     for _ in range(SWEEPS):
         before = here
-        for k, own in enumerate(options.values()):
-            beside = range(max(here[k] - 1, 0), min(here[k] + 2, len(own)))
-            for index in beside if own[0].process is None else near[k]:
+        for k, row in enumerate(options.values()):
+            neighbours = range(max(here[k] - 1, 0), min(here[k] + 2, len(row)))
+            for index in neighbours if row[0].process is None else near[k]:
                 moved = (*here[:k], int(index), *here[k + 1 :])
                 here = moved if best(moved).better(best(here)) else here
         if here == before:
@@ -84,20 +84,20 @@ def chosen(search: Search, relaxed: Candidate) -> Candidate:
 def _options(search: Search) -> dict[int, list[Option]]:
     """What each free number may be chosen from, by its number."""
     freedom, cost = search.question.freedom, search.question.cost
-    found: dict[int, list[Option]] = {}
+    options_of: dict[int, list[Option]] = {}
     for i, choice in enumerate(freedom.choices):
-        own = cost.get(freedom.names[choice.variable]) if isinstance(cost, dict) else None
+        cost_term = cost.get(freedom.names[choice.variable]) if isinstance(cost, dict) else None
         if choice.offered:
-            found[i] = [Option(place, place) for place in freedom.places(i)]
-        elif choice.kind == TOLERANCE and isinstance(own, Processes):
+            options_of[i] = [Option(place, place) for place in freedom.places(i)]
+        elif choice.kind == TOLERANCE and isinstance(cost_term, Processes):
             options = []
-            for number, ends in enumerate(np.asarray(own.ranges)):
+            for number, ends in enumerate(np.asarray(cost_term.ranges)):
                 places = [freedom.place(i, t) for t in np.clip(ends, choice.low, choice.high)]
                 low, high = max(places[0], search.low[i]), min(places[1], search.high[i])
                 if low <= high and ends[0] <= choice.high:
                     options.append(Option(low, high, number))
-            found |= {i: options} if options else {}
-    return found
+            options_of |= {i: options} if options else {}
+    return options_of
 
 
 def _near(options: list[Option], place: float, every: bool) -> list[int]:
@@ -105,10 +105,10 @@ def _near(options: list[Option], place: float, every: bool) -> list[int]:
     wherever less width is the safer; all processes, or all sizes if `every`, the one that holds it
     or is nearest to it first."""
     if options[0].process is None and not every:
-        after = int(np.searchsorted([own.low for own in options], place))
+        after = int(np.searchsorted([option.low for option in options], place))
         after = min(max(after, 1), len(options) - 1)
         return [after - 1, after]
-    away = [abs(np.clip(place, own.low, own.high) - place) for own in options]
+    away = [abs(np.clip(place, option.low, option.high) - place) for option in options]
     return np.argsort(away, kind="stable").tolist()
 
 
@@ -119,8 +119,8 @@ def _narrowed(search: Search, taken: dict[int, Option]) -> Search:
         low[i], high[i] = option.low, option.high
         if option.process is not None:
             name = question.freedom.names[question.freedom.choices[i].variable]
-            held = lambda q, name=name: q.cost[name].held
-            question = eqx.tree_at(held, question, jnp.asarray(option.process))
+            where_held = lambda q, name=name: q.cost[name].fixed_process
+            question = eqx.tree_at(where_held, question, jnp.asarray(option.process))
     return search._replace(question=question, low=low, high=high)
 
 
@@ -129,8 +129,8 @@ def _hopeless(search: Search, place: np.ndarray, chosen: list[int]) -> bool:
     there lowers its excess, to first order."""
     place = np.clip(place, search.low, search.high)
     place[chosen] = search.low[chosen]
-    found, slopes = search.told(place)
-    worst = 1 + int(np.argmax(found[1:]))
+    values, slopes = search.evaluate(place)
+    worst = 1 + int(np.argmax(values[1:]))
     down = np.where(place > search.low, slopes[worst], 0.0) > 0
     up = np.where(place < search.high, slopes[worst], 0.0) < 0
-    return bool(found[worst] > KEPT and not (down | up).any())
+    return bool(values[worst] > NEGLIGIBLE_EXCESS and not (down | up).any())

@@ -27,22 +27,22 @@ def cheapest_by_steps(search: Search, start: np.ndarray) -> Candidate:
     import optax
 
     place = np.clip(start, search.low, search.high)
-    first = search.told(place)[0]
-    whole, forces = abs(first[0]) or 1.0, np.zeros(len(first) - 1)
+    first = search.evaluate(place)[0]
+    scale, forces = abs(first[0]) or 1.0, np.zeros(len(first) - 1)
     for number in range(ROUNDS):
         size = max(FIRST_STEP * 0.5**number, 1e-3)
         rule = optax.adam(optax.cosine_decay_schedule(size, STEPS, LAST_SHARE))
         state = rule.init(place)
         summed, excess, count = np.zeros_like(place), np.zeros_like(forces), 0
         for step in range(STEPS):
-            found, slopes = search.told(place)
-            push = np.maximum(forces + PENALTY * found[1:], 0.0)
-            slope = slopes[0] / whole + push @ slopes[1:]
+            values, slopes = search.evaluate(place)
+            push = np.maximum(forces + PENALTY * values[1:], 0.0)
+            slope = slopes[0] / scale + push @ slopes[1:]
             change, state = rule.update(slope, state, place)
             moved = np.asarray(optax.apply_updates(place, change))
             place = np.clip(moved, search.low, search.high)
             if step >= (1 - LAST) * STEPS:
-                summed, excess, count = summed + place, excess + found[1:], count + 1
+                summed, excess, count = summed + place, excess + values[1:], count + 1
         place = summed / count
         forces = np.maximum(forces + PENALTY * excess / count, 0.0)
     return judged(search, place)

@@ -23,7 +23,7 @@ from jaxclear.ground.argument_errors import nothing_else
 from jaxclear.ground.numerics import safe_sqrt
 from jaxclear.ground.printing import as_written
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity
-from jaxclear.studies.endless import check_told
+from jaxclear.studies.endless import check_within_horizon
 
 # A quantile is a mean over values whose shares lie within so much of the one asked for, as a part
 # of it: without it, it would jump from one sample to the next as a design changes. For a normal
@@ -31,7 +31,7 @@ from jaxclear.studies.endless import check_told
 SMOOTHING = 0.03
 # What a share more is worth is told from shares larger and smaller by this factor.
 NEAR = 1.5
-OWN = "(in the response's unit)"
+RESPONSE_UNIT = "(in the response's unit)"
 # A unit by which to see whether a limit's number has that of its response.
 SAME = "the response's unit"
 
@@ -218,8 +218,8 @@ class AbstractOneSidedLimit(AbstractLimit):
     """
 
     response: str = eqx.field(static=True)
-    at_most: Scalar | None = quantity(None, OWN, kw_only=True)
-    at_least: Scalar | None = quantity(None, OWN, kw_only=True)
+    at_most: Scalar | None = quantity(None, RESPONSE_UNIT, kw_only=True)
+    at_least: Scalar | None = quantity(None, RESPONSE_UNIT, kw_only=True)
 
     def __check_init__(self):
         if (self.at_most is None) == (self.at_least is None):
@@ -332,8 +332,8 @@ class Probability(AbstractLimit):
     """
 
     response: str = eqx.field(static=True)
-    above: Scalar | None = quantity(None, OWN, kw_only=True)
-    below: Scalar | None = quantity(None, OWN, kw_only=True)
+    above: Scalar | None = quantity(None, RESPONSE_UNIT, kw_only=True)
+    below: Scalar | None = quantity(None, RESPONSE_UNIT, kw_only=True)
     at_most: Scalar = quantity(unit="1", above=0, below=0.5, kw_only=True)
 
     def __check_init__(self):
@@ -447,4 +447,4 @@ def check_levels(problem: Any, limit: AbstractLimit) -> None:
             "of it that decide, beyond which an infinite one could stand: give it `levels`, or "
             "take limit.Quantile or limit.Probability."
         )
-    check_told(problem, name, *levels)
+    check_within_horizon(problem, name, *levels)

@@ -87,5 +87,5 @@ def _zone_choice(problem: Any, name: str, line: ZoneVariable, span: Any) -> Choi
     first, *others = problem.groups[name]
     usual = usual_tolerance(problem.inputs.distributions[first])
     choice, ratio = choice_of(TOLERANCE, name, first, span), usual / float(line.zone.size)
-    low, high, *offered = (ratio * own for own in (choice.low, choice.high, *choice.offered))
+    low, high, *offered = (ratio * size for size in (choice.low, choice.high, *choice.offered))
     return choice._replace(low=low, high=high, offered=tuple(offered), others=tuple(others))

@@ -16,7 +16,7 @@ from jaxclear.studies.design.population import AbstractModel, Points
 from jaxclear.studies.design.question import Question
 
 # A limit broken by less than this share is kept: rounding of the optimiser.
-KEPT = 1e-6
+NEGLIGIBLE_EXCESS = 1e-6
 # A limit or bound within this share is one that decides.
 ACTIVE = 1e-4
 STEPS, ACCURACY = 100, 1e-9
@@ -40,7 +40,7 @@ class Candidate(NamedTuple):
 
     def better(self, other: "Candidate") -> bool:
         """Whether it is to be preferred: it keeps limits that the other breaks, or is cheaper."""
-        if max(self.broken, other.broken) > KEPT:
+        if max(self.broken, other.broken) > NEGLIGIBLE_EXCESS:
             return self.broken < other.broken
         return self.cost < other.cost
 
@@ -56,27 +56,27 @@ class Search(NamedTuple):
     low: np.ndarray
     high: np.ndarray
 
-    def told(self, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def evaluate(self, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Cost and excesses, (1 + limits,), and their slopes, (1 + limits, free). A limit whose
         response is no number for some parts is wholly broken."""
-        found, slopes = told(self.question, self.model, self.points, jnp.asarray(place))
-        found, slopes = np.array(found), np.array(slopes)
-        found[1:] += self.shift
-        lost = np.isnan(found)
-        found[lost], slopes[lost] = WHOLLY, 0.0
-        return found, slopes
+        values, slopes = linearise(self.question, self.model, self.points, jnp.asarray(place))
+        values, slopes = np.array(values), np.array(slopes)
+        values[1:] += self.shift
+        is_missing = np.isnan(values)
+        values[is_missing], slopes[is_missing] = WHOLLY, 0.0
+        return values, slopes
 
 
 @eqx.filter_jit
-def told(question: Question, model: AbstractModel, points: Points, place: Any):
+def linearise(question: Question, model: AbstractModel, points: Points, place: Any):
     """Cost and excesses of a candidate, (1 + limits,), and their slopes, (1 + limits, free)."""
 
-    def both(own):
-        found = jnp.append(question.price(own), question.excesses(own, model, points))
-        return found, found
+    def both(at):
+        values = jnp.append(question.price(at), question.excesses(at, model, points))
+        return values, values
 
-    slopes, found = jax.jacrev(both, has_aux=True)(place)
-    return found, slopes
+    slopes, values = jax.jacrev(both, has_aux=True)(place)
+    return values, slopes
 
 
 def cheapest(search: Search, starts: list[np.ndarray]) -> Candidate:
@@ -90,20 +90,20 @@ def cheapest(search: Search, starts: list[np.ndarray]) -> Candidate:
 
 
 def _from_one(search: Search, start: np.ndarray) -> Candidate:
-    kept: dict[bytes, tuple] = {}
+    cache: dict[bytes, tuple] = {}
 
     def at(place):
         key = place.tobytes()
-        if key not in kept:
-            kept.clear()
-            kept[key] = search.told(place)
-        return kept[key]
+        if key not in cache:
+            cache.clear()
+            cache[key] = search.evaluate(place)
+        return cache[key]
 
-    whole = abs(at(start)[0][0]) or 1.0
-    found = scipy.optimize.minimize(
-        lambda place: at(place)[0][0] / whole,
+    scale = abs(at(start)[0][0]) or 1.0
+    result = scipy.optimize.minimize(
+        lambda place: at(place)[0][0] / scale,
         start,
-        jac=lambda place: at(place)[1][0] / whole,
+        jac=lambda place: at(place)[1][0] / scale,
         method="SLSQP",
         bounds=list(zip(search.low, search.high, strict=True)),
         constraints={
@@ -113,14 +113,14 @@ def _from_one(search: Search, start: np.ndarray) -> Candidate:
         },
         options={"maxiter": STEPS, "ftol": ACCURACY},
     )
-    return judged(search, np.clip(found.x, search.low, search.high))
+    return judged(search, np.clip(result.x, search.low, search.high))
 
 
 def judged(search: Search, place: np.ndarray) -> Candidate:
     """A place as a candidate, with its multipliers."""
-    found, slopes = search.told(place)
-    sizes = multipliers(found[1:], slopes, place, search)
-    return Candidate(place, float(found[0]), found[1:], sizes)
+    values, slopes = search.evaluate(place)
+    sizes = multipliers(values[1:], slopes, place, search)
+    return Candidate(place, float(values[0]), values[1:], sizes)
 
 
 def multipliers(
@@ -132,7 +132,7 @@ def multipliers(
     low, high = place - search.low < ACTIVE, search.high - place < ACTIVE
     unit = np.eye(len(place))
     columns = np.concatenate([slopes[1:][deciding], -unit[low], unit[high]]).T
-    found = np.zeros(len(excess))
+    result = np.zeros(len(excess))
     if columns.size:
-        found[deciding] = scipy.optimize.nnls(columns, -slopes[0])[0][: len(deciding)]
-    return found
+        result[deciding] = scipy.optimize.nnls(columns, -slopes[0])[0][: len(deciding)]
+    return result

@@ -106,11 +106,11 @@ def surface_through(
     """The surface through runs, and its leave-one-out R2 [1] of each response. `values` (runs,
     variables), `responses` (runs, responses)."""
     names = problem.response_names
-    found = SampleResult(
+    result = SampleResult(
         dict(zip(names, responses.T, strict=True)),
         jnp.full(len(values), int(Outcome.REACHED)),
         jnp.zeros(len(values)),
     )
-    surface = fitted(problem, values, found)
+    surface = fitted(problem, values, result)
     rows = jnp.stack([surface.coefficients[name] for name in names])
     return Surface(surface.polynomials, surface.powers, rows, names), surface.quality

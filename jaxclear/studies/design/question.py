@@ -70,11 +70,11 @@ class Freedom(eqx.Module):
         """(nominal values, tolerances) of all variables."""
         numbers = {NOMINAL: jnp.asarray(self.start), TOLERANCE: jnp.asarray(self.usual)}
         for i, choice in enumerate(self.choices):
-            own = _between(choice, place[i])
+            value = _between(choice, place[i])
             columns = np.array((choice.variable, *choice.others))
-            numbers[choice.kind] = numbers[choice.kind].at[columns].set(own)
+            numbers[choice.kind] = numbers[choice.kind].at[columns].set(value)
             if choice.nominals:
-                mean = jnp.interp(own, np.array(choice.offered), np.array(choice.nominals))
+                mean = jnp.interp(value, np.array(choice.offered), np.array(choice.nominals))
                 numbers[NOMINAL] = numbers[NOMINAL].at[choice.variable].set(mean)
         return numbers[NOMINAL], numbers[TOLERANCE]
 
@@ -83,10 +83,10 @@ class Freedom(eqx.Module):
         to the last digit as it has them, which their places between 0 and 1 are not."""
         numbers = dict(zip((NOMINAL, TOLERANCE), map(np.array, self.decoded(place)), strict=True))
         for choice in self.choices:
-            own = numbers[choice.kind]
+            values = numbers[choice.kind]
             for number in choice.offered:
-                if np.isclose(own[choice.variable], number, rtol=SAME_NUMBER, atol=0.0):
-                    own[[choice.variable, *choice.others]] = number
+                if np.isclose(values[choice.variable], number, rtol=SAME_NUMBER, atol=0.0):
+                    values[[choice.variable, *choice.others]] = number
         return numbers[NOMINAL], numbers[TOLERANCE]
 
     def encoded(self, nominal: np.ndarray, tolerance: np.ndarray) -> np.ndarray:
@@ -120,10 +120,10 @@ def _place(choice, number):
 def usual_tolerance(distribution: Any) -> float:
     """Half of the range of a distribution; of one without ends, half of what lies between three
     standard deviations of a normal one."""
-    ends = [float(distribution.quantile(jnp.asarray(share))) for share in (0.0, 1.0)]
+    ends = [float(distribution.quantile(share)) for share in (0.0, 1.0)]
     if not np.all(np.isfinite(ends)):
         shares = (1.0 - THREE_DEVIATIONS, THREE_DEVIATIONS)
-        ends = [float(distribution.quantile(jnp.asarray(share))) for share in shares]
+        ends = [float(distribution.quantile(share)) for share in shares]
     return 0.5 * (ends[1] - ends[0])
 
 
@@ -132,10 +132,10 @@ def freedom_of(problem: Any, nominal: Any, tolerance: Any, lines: Sequence[Choic
     a sentence for what cannot be."""
     names = problem.names
     choices = list(lines)
-    chosen = {names[i] for own in choices for i in (own.variable, *own.others)}
-    for kind, given in ((NOMINAL, nominal), (TOLERANCE, tolerance)):
-        expect(given or {}, Mapping, f"{kind} of design", "a dictionary from names of variables")
-        for name, span in (given or {}).items():
+    chosen = {names[i] for choice in choices for i in (choice.variable, *choice.others)}
+    for kind, ranges in ((NOMINAL, nominal), (TOLERANCE, tolerance)):
+        expect(ranges or {}, Mapping, f"{kind} of design", "a dictionary from names of variables")
+        for name, span in (ranges or {}).items():
             check_name("variable", name, names, " in this problem")
             if name in chosen:
                 raise ValueError(
@@ -192,7 +192,7 @@ class Question(eqx.Module):
         nominal, tolerance = self.freedom.decoded(place)
         names = self.freedom.names
         if not isinstance(self.cost, dict):
-            numbers = [dict(zip(names, own, strict=True)) for own in (nominal, tolerance)]
+            numbers = [dict(zip(names, values, strict=True)) for values in (nominal, tolerance)]
             return jnp.asarray(self.cost(*numbers), float)
         parts = [cost(tolerance[names.index(name)]) for name, cost in self.cost.items()]
         return jnp.sum(jnp.stack(parts))
@@ -218,8 +218,8 @@ class Question(eqx.Module):
 
     def excesses(self, place: Array, model: AbstractModel, points: Points) -> Array:
         """By how much a candidate breaks each limit, (limits,) [1] in multiples of `sizes`."""
-        seen = zip(self.limits, self.samples(place, model, points), strict=True)
-        return jnp.stack([limit.excess(own) for limit, own in seen]) / self.sizes
+        pairs = zip(self.limits, self.samples(place, model, points), strict=True)
+        return jnp.stack([limit.excess(sample) for limit, sample in pairs]) / self.sizes
 
     def of(self, limit: AbstractLimit, values: Any, responses: dict) -> Any:
         """What a limit is about, (samples,): a response, or a variable."""
@@ -229,8 +229,8 @@ class Question(eqx.Module):
 
     def levels(self, response: str) -> list[float]:
         """Values of a response that decide, over all its limits."""
-        own = [limit for limit in self.limits if limit.response == response]
-        return [float(level) for limit in own for level in limit.levels()]
+        limits = [limit for limit in self.limits if limit.response == response]
+        return [float(level) for limit in limits for level in limit.levels()]
 
     def measured_by(self, sizes: np.ndarray) -> "Question":
         """The same with other sizes."""
@@ -240,7 +240,7 @@ class Question(eqx.Module):
     def one_each(self, places: Any, normal: Any) -> Array:
         """Values (samples, variables) of one part, at `normal` (samples, variables), of each of the
         candidates `places` (samples, free)."""
-        return jax.vmap(lambda place, own: self.values(place, own))(places, normal)
+        return jax.vmap(lambda place, row: self.values(place, row))(places, normal)
 
     def with_limits(self, limits: tuple[AbstractLimit, ...]) -> "Question":
         """The same with other limits."""
@@ -251,7 +251,7 @@ class Question(eqx.Module):
         if not limit.extreme():
             return jnp.zeros(2)
         nominal, tolerance = self.freedom.decoded(place)
-        value, slope = jax.value_and_grad(lambda own: self.one(limit, own, model))(nominal)
+        value, slope = jax.value_and_grad(lambda x: self.one(limit, x, model))(nominal)
         reach = jnp.sum(jnp.abs(slope) * tolerance)
         return jnp.stack([value - reach, value + reach])
 
@@ -263,7 +263,7 @@ class Question(eqx.Module):
     def corner(self, limit: AbstractLimit, place: np.ndarray, model: AbstractModel) -> np.ndarray:
         """Values (variables,) of the worst case of a limit, by the slopes of a model."""
         nominal, tolerance = self.freedom.decoded(jnp.asarray(place))
-        slope = jax.grad(lambda own: self.one(limit, own, model))(nominal)
+        slope = jax.grad(lambda x: self.one(limit, x, model))(nominal)
         side = 1.0 if limit.upper() else -1.0
         return np.asarray(nominal + side * jnp.sign(slope) * tolerance)
 
@@ -282,11 +282,11 @@ def checked_cost(cost: Any, freedom: Freedom) -> Cost:
     free = {c.variable: c for c in freedom.choices if c.kind == TOLERANCE}
     if not cost:
         raise ValueError("cost of design is empty; it must hold a cost for one tolerance at least.")
-    for name, own in cost.items():
+    for name, term in cost.items():
         check_name("variable", name, freedom.names, " in this problem")
-        expect(own, AbstractCost, f'cost of "{name}"', "one of jaxclear.cost, such as Reciprocal")
+        expect(term, AbstractCost, f'cost of "{name}"', "one of jaxclear.cost, such as Reciprocal")
         choice = free.get(freedom.names.index(name))
-        low, high = own.known()
+        low, high = term.known()
         if choice is not None and not low <= choice.low < choice.high <= high:
             raise ValueError(
                 f'cost of "{name}" is known for tolerances from {low:g} to {high:g}, and its '
@@ -303,19 +303,19 @@ def checked_cost(cost: Any, freedom: Freedom) -> Cost:
 
 def checked_limits(limits: Any, problem: Any) -> tuple[AbstractLimit, ...]:
     """What a user gives as limits. Raises `ValueError` with a sentence for what cannot be."""
-    given = [limits] if isinstance(limits, AbstractLimit) else limits
-    if not isinstance(given, Sequence) or isinstance(given, str) or not given:
+    all_limits = [limits] if isinstance(limits, AbstractLimit) else limits
+    if not isinstance(all_limits, Sequence) or isinstance(all_limits, str) or not all_limits:
         raise ValueError(
             f"limits of design are {described(limits)}; they must be members of jaxclear.limit, "
             "one at least."
         )
-    for limit in given:
+    for limit in all_limits:
         expect(limit, AbstractLimit, "a limit of design", "one of jaxclear.limit")
-        known = (*problem.response_names, *problem.names)
-        check_name("response", limit.response, known, " in this problem (nor variable)")
+        names = (*problem.response_names, *problem.names)
+        check_name("response", limit.response, names, " in this problem (nor variable)")
         if limit.response in problem.response_names:
             check_levels(problem, limit)
-    return tuple(given)
+    return tuple(all_limits)
 
 
 def sizes_of(question: Question, place: np.ndarray, model: AbstractModel, points: Points) -> Any:

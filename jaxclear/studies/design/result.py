@@ -82,14 +82,14 @@ class Design(AbstractAnswer):
         error is larger than that, it does not cross the bound), no more of
         them failed than 1 %, or than the share that the rarest limit speaks of, and no more than
         5 % of them warn of what concerns a limited response."""
-        kept = self.verified and bool(np.all(self._kept))
-        return kept and not self._too_lost and not self._in_doubt
+        is_met = self.verified and bool(np.all(self._satisfied))
+        return is_met and not self._too_many_failed and not self._in_doubt
 
     @property
-    def _kept(self):
+    def _satisfied(self):
         check = self.rounds[-1].check
         return (
-            np.zeros(len(self.limits), bool) if check is None else check.kept(self.allowed_excess)
+            np.zeros(len(self.limits), bool) if check is None else check.holds(self.allowed_excess)
         )
 
     @property
@@ -119,7 +119,7 @@ class Design(AbstractAnswer):
         return [name for name in limited if name in self.problem.response_names]
 
     @property
-    def _too_lost(self):
+    def _too_many_failed(self):
         """Whether so many new runs failed that those which did not may not stand for the parts."""
         check = self.rounds[-1].check
         rarest = min(limit.rarest() for limit in self.limits)
@@ -137,58 +137,58 @@ class Design(AbstractAnswer):
         cost = self.question.cost
         offered = cost.items() if isinstance(cost, dict) else ()
         return {
-            name: own.process(self.tolerances[name])
-            for name, own in offered
-            if isinstance(own, Processes)
+            name: process_cost.process(self.tolerances[name])
+            for name, process_cost in offered
+            if isinstance(process_cost, Processes)
         }
 
     def label(self, i: int) -> str:
         """What a free number is in the catalogue that it comes from; "" without one."""
         choice = self.question.freedom.choices[i]
-        own = self.nominal if choice.kind == NOMINAL else self.tolerances
+        values = self.nominal if choice.kind == NOMINAL else self.tolerances
         if not choice.offered:
             return ""
-        number = own[self.question.freedom.names[choice.variable]]
+        number = values[self.question.freedom.names[choice.variable]]
         return choice.labels[int(np.argmin(np.abs(np.subtract(choice.offered, number))))]
 
     def sentence(self) -> str:
         """That no choice keeps the limits, and by how much; or the cost, whether the limits hold,
         which of them decide and what they cost."""
-        said = [f"Cost {self.cost:.6g}."]
+        parts = [f"Cost {self.cost:.6g}."]
         if self.infeasible:
-            said = [
+            parts = [
                 "Infeasible: no choice within the bounds keeps all limits. Of the one that breaks "
-                f"them least, at a cost of {self.cost:.6g}, {self._told_broken()}. Widen what may "
+                f"them least, at a cost of {self.cost:.6g}, {self._broken_text()}. Widen what may "
                 "be chosen, or the limits."
             ]
         if self.processes:
             made = (f"{name} {process}" for name, process in self.processes.items())
-            said.append(f"Processes: {', '.join(made)}.")
+            parts.append(f"Processes: {', '.join(made)}.")
         if self.infeasible:
             pass
         elif not self.verified:
-            said.append("Not verified by runs of its own.")
+            parts.append("Not verified by runs of its own.")
         elif self.holds:
             within = f"to within {100 * self.allowed_excess:g} %"
-            said.append(f"All limits hold, by {self.seen_by} new runs, {within}.")
+            parts.append(f"All limits hold, by {self.seen_by} new runs, {within}.")
         else:
-            broken = self._told_broken()
-            said += [f"It does not hold: {broken}."] if broken else []
-            said += [
-                self._crossing(i) for i in np.flatnonzero(~self._kept) if i not in self._beyond
+            broken = self._broken_text()
+            parts += [f"It does not hold: {broken}."] if broken else []
+            parts += [
+                self._crossing(i) for i in np.flatnonzero(~self._satisfied) if i not in self._beyond
             ]
-            said += [f"It is not known to hold, by runs in doubt. {own}" for own in self._in_doubt]
-        said += [self._priced(i) for i in np.flatnonzero(self.prices > 0)]
+            parts += [f"It is not known to hold, by runs in doubt. {d}" for d in self._in_doubt]
+        parts += [self._priced(i) for i in np.flatnonzero(self.prices > 0)]
         if self.failed:
-            said.append(f"{self.failed} of {self.runs} runs failed and are left out.")
-        said += self.endless
-        said += [f"Of all runs: {own}" for own in self.warnings]
-        said += [
+            parts.append(f"{self.failed} of {self.runs} runs failed and are left out.")
+        parts += self.endless
+        parts += [f"Of all runs: {d}" for d in self.warnings]
+        parts += [
             f'The surface of "{name}" does not stand for its runs: the design was led by runs '
             "alone and may not be the cheapest."
             for name in self.distrusted
         ]
-        return " ".join([*said, ENDINGS[self.ended]]).rstrip()
+        return " ".join([*parts, ENDINGS[self.ended]]).rstrip()
 
     def unit(self, i: int) -> str:
         """Unit of a limited number."""
@@ -197,9 +197,9 @@ class Design(AbstractAnswer):
         )
         return self.limits[i].unit(units[self.limits[i].response])
 
-    def _told_broken(self):
+    def _broken_text(self):
         broken = [self._broken(i) for i in self._beyond]
-        return "; ".join([*broken, self._lost()] if self._too_lost else broken)
+        return "; ".join([*broken, self._failure_text()] if self._too_many_failed else broken)
 
     def _crossing(self, i):
         number = with_error(float(self.numbers[i]), float(self.errors[i]))
@@ -212,12 +212,12 @@ class Design(AbstractAnswer):
     def _broken(self, i):
         limit, number = self.limits[i], with_error(float(self.numbers[i]), float(self.errors[i]))
         side, unit = "above" if limit.upper() else "below", self.unit(i).removeprefix("1")
-        apart = f"{in_few(abs(float(self.numbers[i] - limit.bound())), 3)} {unit}".rstrip()
-        return f"the {limit.words()} is {number}, {apart} {side} {as_written(limit.bound())}"
+        excess = f"{in_few(abs(float(self.numbers[i] - limit.bound())), 3)} {unit}".rstrip()
+        return f"the {limit.words()} is {number}, {excess} {side} {as_written(limit.bound())}"
 
-    def _lost(self):
+    def _failure_text(self):
         check = self.rounds[-1].check
-        values = zip(self.question.freedom.names, check.lost, strict=True)
+        values = zip(self.question.freedom.names, check.failed_at, strict=True)
         such = ", ".join(f"{name} = {value:.6g}" for name, value in values)
         return (
             f"{check.failed} of {check.runs} new runs failed, such as that of {such}: narrow what "
@@ -232,9 +232,9 @@ class Design(AbstractAnswer):
         if self.unit(i) not in ("m", "rad"):
             step = 0.01 * abs(float(limit.bound())) or 1.0
             named = f"{step:.3g} {self.unit(i)}".removesuffix(" 1")
-        way = "more" if limit.upper() else "less"
+        direction = "more" if limit.upper() else "less"
         saved = in_few(price * step, 3)
-        return f"The limit on the {limit.words()} decides: {named} {way} saves {saved}."
+        return f"The limit on the {limit.words()} decides: {named} {direction} saves {saved}."
 
     def _stated(self):
         freedom, over = self.question.freedom, (VARIABLE,)
@@ -242,14 +242,14 @@ class Design(AbstractAnswer):
         for i, choice in enumerate(freedom.choices):
             for variable in (choice.variable, *choice.others):
                 free[freedom.names[variable]][choice.kind] = i
-        named = lambda own: " ".join(filter(None, map(self.label, own.values())))
+        named = lambda chosen: " ".join(filter(None, map(self.label, chosen.values())))
         units = zip(freedom.names, self.problem.variable_units, strict=True)
         columns = {
             "unit": Column(over, dict(units)),
             "nominal": Column(over, self.nominal),
             "tolerance": Column(over, self.tolerances),
-            "chosen": Column(over, {name: " and ".join(own) for name, own in free.items()}),
-            "catalogue": Column(over, {name: named(own) for name, own in free.items()}),
+            "chosen": Column(over, {name: " and ".join(chosen) for name, chosen in free.items()}),
+            "catalogue": Column(over, {name: named(chosen) for name, chosen in free.items()}),
         }
         if self.processes:
             columns["process"] = Column(over, dict.fromkeys(freedom.names, "") | self.processes)
@@ -269,7 +269,7 @@ class Design(AbstractAnswer):
                 "error": self.errors[i],
                 "bound": float(limit.bound()),
                 "side": "at most" if limit.upper() else "at least",
-                "holds": bool(self._kept[i]),
+                "holds": bool(self._satisfied[i]),
                 "price": self.prices[i],
             }
             for i, limit in enumerate(self.limits)
@@ -300,4 +300,4 @@ class Design(AbstractAnswer):
 def prices_of(question: Question, multipliers: np.ndarray, samples: list) -> np.ndarray:
     """Cost (limits,) that a unit of each bound would save, from what a unit of excess does."""
     rows = zip(question.limits, multipliers, samples, question.sizes, strict=True)
-    return np.array([float(limit.give(seen)) * own / size for limit, own, seen, size in rows])
+    return np.array([float(limit.give(x)) * factor / size for limit, factor, x, size in rows])

@@ -52,16 +52,16 @@ class Runs:
         count, store = len(values), CURRENT.get()
         before = store.loaded if store else 0
         padded = np.concatenate([values, np.repeat(values[-1:], -count % self.batch, axis=0)])
-        found = evaluate_all(
+        result = evaluate_all(
             self.problem, padded, chunk=self.batch, progress_bar=self.show, label=f"design, {label}"
         )
         self.computed += len(padded) - (store.loaded - before if store else 0)
-        good, responses = successes(self.problem, found.outcome, found.responses)
+        good, responses = successes(self.problem, result.outcome, result.responses)
         columns = [responses[name][:count] for name in self.problem.response_names]
         self.values = np.concatenate([self.values, values])
         self.responses = np.concatenate([self.responses, np.stack(columns, axis=1)])
         # A failed run is none that warns.
-        codes = np.where(good, codes_of(found.checks, len(padded)), 0)[:count]
+        codes = np.where(good, codes_of(result.checks, len(padded)), 0)[:count]
         self.codes = np.concatenate([self.codes, codes])
         return self.responses[-count:]
 
@@ -78,5 +78,5 @@ class Runs:
         good = self.good(inside)
         names = self.problem.response_names
         pairs = zip(names, self.responses[good].T, strict=True)
-        columns = [bounded(self.problem, name, own, levels(name)) for name, own in pairs]
+        columns = [bounded(self.problem, name, values, levels(name)) for name, values in pairs]
         return self.values[good], np.stack(columns, axis=1)

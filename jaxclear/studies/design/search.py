@@ -186,12 +186,12 @@ class _Seeking:
         inside = lambda values: np.all((values >= box[0]) & (values <= box[1]), axis=1)
         variables = len(self.question.freedom.names)
         terms = (variables + 1) * (variables + 2) // 2
-        wanted = self.settings.runs or max(RUNS_PER_TERM * terms, 64)
-        missing = wanted - int(self.runs.good(inside).sum())
+        run_count = self.settings.runs or max(RUNS_PER_TERM * terms, 64)
+        missing = run_count - int(self.runs.good(inside).sum())
         if missing > 0 or number == 0:
             self.runs.ask(self._drawn(low, high, max(missing, 1), number), "surface")
-        known = self.runs.within(inside, self.question.levels)
-        self.model, self.quality = surface_through(self.runs.problem, *known)
+        inner_runs = self.runs.within(inside, self.question.levels)
+        self.model, self.quality = surface_through(self.runs.problem, *inner_runs)
 
     def _drawn(self, low: np.ndarray, high: np.ndarray, count: int, number: int) -> np.ndarray:
         """Parts of designs that fill the region, (count, variables)."""
@@ -261,20 +261,20 @@ class _Seeking:
     def _good(self, candidate: Candidate, check: Check) -> bool:
         """Whether every limit is kept, and what decides is used up."""
         allowed = self.settings.allowed_excess
-        kept = check.kept(allowed)
+        holds = check.holds(allowed)
         used = (candidate.multipliers <= 0) | (
             check.excess >= -np.maximum(allowed, check.excess_errors)
         )
         if any(choice.offered for choice in self.question.freedom.choices):
             used[:] = True
-        return bool(np.all(kept & used)) and check.failed == 0
+        return bool(np.all(holds & used)) and check.failed == 0
 
 
 def rare_regions(
     question: Question, place: np.ndarray, model: AbstractModel
 ) -> tuple[np.ndarray, ...]:
     """Centres (variables,) of the rare regions of all limits; none where nothing rare decides."""
-    found: list[np.ndarray] = []
+    regions: list[np.ndarray] = []
     for number, limit in enumerate(question.limits):
         share = limit.rarest()
         if share >= OFTEN:
@@ -284,10 +284,10 @@ def rare_regions(
             centre = np.asarray(
                 _worst(question, (number, side), model, jnp.asarray(place), jnp.asarray(distance))
             )
-            new = all(np.linalg.norm(centre - c) > ONE * distance for c in found)
+            new = all(np.linalg.norm(centre - c) > ONE * distance for c in regions)
             if new and np.all(np.isfinite(centre)):
-                found.append(centre)
-    return tuple(found)
+                regions.append(centre)
+    return tuple(regions)
 
 
 @eqx.filter_jit

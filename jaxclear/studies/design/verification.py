@@ -15,7 +15,7 @@ from jaxclear.studies.design.limit import SAME, AbstractLimit, Sample
 from jaxclear.studies.design.population import AbstractModel, Points, points
 from jaxclear.studies.design.question import Question
 from jaxclear.studies.design.runs import Runs
-from jaxclear.studies.endless import finite_beside, refuse_endless
+from jaxclear.studies.endless import refuse_endless, replace_infinite
 from jaxclear.studies.statistics.scrambled import student
 from jaxclear.studies.surface.control_variate import with_difference
 
@@ -27,8 +27,8 @@ INSTEAD = "take limit.Quantile or limit.Probability"
 
 class Check(NamedTuple):
     """Limited numbers (limits,) and their 95 % errors, excesses (limits,) [1] and theirs, how many
-    runs told them and how many of these failed; `lost` (variables,): the values of the first of
-    these, if any; `codes` (those that did not,): of what they warn (`studies.warned`)."""
+    runs told them and how many of these failed; `failed_at` (variables,): the values of the first
+    of these, if any; `codes` (those that did not,): of what they warn (`studies.warned`)."""
 
     numbers: np.ndarray
     errors: np.ndarray
@@ -36,10 +36,10 @@ class Check(NamedTuple):
     excess_errors: np.ndarray
     runs: int
     failed: int
-    lost: np.ndarray | None
+    failed_at: np.ndarray | None
     codes: np.ndarray
 
-    def kept(self, allowed: float) -> np.ndarray:
+    def holds(self, allowed: float) -> np.ndarray:
         """Whether each limit is kept (limits,) but for an excess that is `allowed` [1]. Where its
         error is larger than that, it must not cross the bound."""
         sure = self.excess_errors <= allowed
@@ -69,34 +69,34 @@ class Verifier(NamedTuple):
         responses = self.runs.ask(values, "verification")
         good = ~np.isnan(responses).any(axis=1)
         by_group = np.repeat(np.arange(GROUPS), len(values) // GROUPS)
-        found = []
+        estimates = []
         for limit in self.question.limits:
             sample, largest = self._sampler(limit, place, model, values, responses)
             rows = []
-            for left_out in (-1, *range(GROUPS)):
-                kept = np.where(good & (by_group != left_out), weights, 0.0)
-                number, excess = (float(one) for one in _measured(limit, sample(kept)))
+            for omitted_group in (-1, *range(GROUPS)):
+                group_weights = np.where(good & (by_group != omitted_group), weights, 0.0)
+                number, excess = (float(one) for one in _measured(limit, sample(group_weights)))
                 # A number that stands for infinite ones is none to be told.
                 rows.append([np.inf if number > largest else number, excess])
-            found.append(rows)
-        return self._told(np.array(found), values, good, self.runs.warned(before))
+            estimates.append(rows)
+        return self._make_check(np.array(estimates), values, good, self.runs.warned(before))
 
-    def _told(
-        self, found: np.ndarray, values: np.ndarray, good: np.ndarray, codes: np.ndarray
+    def _make_check(
+        self, rows: np.ndarray, values: np.ndarray, good: np.ndarray, codes: np.ndarray
     ) -> Check:
-        """`found` (limits, 1 + groups, 2): numbers and excesses, of all groups and without each;
+        """`rows` (limits, 1 + groups, 2): numbers and excesses, of all groups and without each;
         `values` (runs, variables), of which those did not fail that are `good` (runs,)."""
         failed = values[~good]
         factor = student(GROUPS)
-        known = np.where(np.isfinite(found), found, np.nan)
-        errors = factor * np.sqrt((GROUPS - 1) * known[:, 1:].var(axis=1))
+        finite = np.where(np.isfinite(rows), rows, np.nan)
+        errors = factor * np.sqrt((GROUPS - 1) * finite[:, 1:].var(axis=1))
         # Nothing bounds a number that is infinite without one of the groups.
-        errors = np.where(np.isinf(found[:, 1:]).any(axis=1), np.inf, errors)
+        errors = np.where(np.isinf(rows[:, 1:]).any(axis=1), np.inf, errors)
         sizes = self.question.sizes
         return Check(
-            found[:, 0, 0],
+            rows[:, 0, 0],
             errors[:, 0],
-            found[:, 0, 1] / sizes,
+            rows[:, 0, 1] / sizes,
             errors[:, 1] / sizes,
             len(values),
             len(failed),
@@ -112,15 +112,15 @@ class Verifier(NamedTuple):
             corner, by_name = question.corner(limit, place, model)[None], {}
             if limit.response in names:
                 by_name = dict(zip(names, self.runs.ask(corner, "worst case").T, strict=True))
-            own, largest = _finite(limit, np.asarray(question.of(limit, corner, by_name)))
-            ends = jnp.tile(jnp.asarray(own), 2)
+            data, largest = _finite(limit, np.asarray(question.of(limit, corner, by_name)))
+            ends = jnp.tile(jnp.asarray(data), 2)
             return lambda weights: Sample(jnp.zeros(1), jnp.ones(1), ends), largest
-        own = np.asarray(question.of(limit, values, dict(zip(names, responses.T, strict=True))))
+        data = np.asarray(question.of(limit, values, dict(zip(names, responses.T, strict=True))))
         if limit.by_moments():
-            refuse_endless(self.runs.problem, {limit.response: own}, "mean or deviation", INSTEAD)
-        own, largest = _finite(limit, np.where(np.isnan(own), 0.0, own))
+            refuse_endless(self.runs.problem, {limit.response: data}, "mean or deviation", INSTEAD)
+        data, largest = _finite(limit, np.where(np.isnan(data), 0.0, data))
         if not (self.corrected and limit.response in names):
-            alone = Sample(jnp.asarray(own), jnp.zeros(0), jnp.zeros(2))
+            alone = Sample(jnp.asarray(data), jnp.zeros(0), jnp.zeros(2))
             return lambda weights: alone._replace(weights=_shares(weights)), largest
         wide = question.values(jnp.asarray(place), self.wide.normal)
         large = Sample(
@@ -130,12 +130,14 @@ class Verifier(NamedTuple):
         )
         here = jnp.asarray(question.of(limit, values, model(jnp.asarray(values))))
 
-        told = jnp.asarray(own)
-        return lambda weights: with_difference(large, told, here, _shares(weights)), largest
+        value_array = jnp.asarray(data)
+        return lambda weights: with_difference(large, value_array, here, _shares(weights)), largest
 
 
 def _shares(weights: np.ndarray) -> Any:
-    return jnp.asarray(weights / weights.sum())
+    total = weights.sum()
+    # Where no run succeeds nothing is known.
+    return jnp.asarray(weights / total if total > 0 else np.full_like(weights, np.nan))
 
 
 def _finite(limit: AbstractLimit, values: np.ndarray) -> tuple[np.ndarray, float]:
@@ -144,10 +146,10 @@ def _finite(limit: AbstractLimit, values: np.ndarray) -> tuple[np.ndarray, float
     if not np.isinf(values).any():
         return values, np.inf
     levels = [float(level) for level in limit.levels()]
-    told = [*values[np.isfinite(values)].tolist(), *levels]
+    finite = [*values[np.isfinite(values)].tolist(), *levels]
     # A number in another unit, such as a share, is not one of the values.
-    alike = limit.unit(SAME) == SAME
-    return finite_beside(values, *levels), max(told, default=-np.inf) if alike else np.inf
+    same_unit = limit.unit(SAME) == SAME
+    return replace_infinite(values, *levels), max(finite, default=-np.inf) if same_unit else np.inf
 
 
 @eqx.filter_jit

@@ -12,9 +12,9 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import scipy
-from jax.scipy.special import ndtri
 from jaxtyping import Array, Float
 
+from jaxclear.ground import array_functions as xp
 from jaxclear.ground.quantity import Scalar, quantity
 from jaxclear.ground.wording import described
 from jaxclear.studies.distribution.base import END_SCORE, LARGEST_SCORE, UNIT, AbstractDistribution
@@ -36,12 +36,15 @@ class Table(eqx.Module):
 
     def of_score(self, score: Float[Array, "..."]) -> Float[Array, "..."]:
         """Deviation at a score [1]; beyond the last knots along the line through the last two."""
-        i = jnp.clip(jnp.searchsorted(self.scores, score) - 1, 0, len(self.scores) - 2)
-        left, right = self.deviations[i], self.deviations[i + 1]
-        step = self.scores[i + 1] - self.scores[i]
-        s = (score - self.scores[i]) / step
-        found = _hermite(s, left, right, step * self.slopes[i], step * self.slopes[i + 1])
-        return jnp.where((s < 0) | (s > 1), left + s * (right - left), found)
+        i = xp.clip(xp.searchsorted(self.scores, score) - 1, 0, len(self.scores) - 2)
+        (start, end), (left, right), slopes = (
+            (xp.take(column, i), xp.take(column, i + 1))
+            for column in (self.scores, self.deviations, self.slopes)
+        )
+        step = end - start
+        s = (score - start) / step
+        deviation = _hermite(s, left, right, step * slopes[0], step * slopes[1])
+        return xp.where((s < 0) | (s > 1), left + s * (right - left), deviation)
 
 
 def _hermite(s, left, right, left_slope, right_slope):
@@ -86,9 +89,9 @@ def _sampled(frozen: Any, scores: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     with np.errstate(all="ignore"):
         below = _call(frozen, "ppf", "icdf")(scipy.special.ndtr(np.where(lower, scores, 0.0)))
         above = _call(frozen, "isf", "iccdf")(scipy.special.ndtr(-np.where(lower, 0.0, scores)))
-        found = np.where(lower, below, above)
-        slopes = scipy.stats.norm.pdf(scores) / np.asarray(frozen.pdf(found))
-    return found, np.where(np.isfinite(slopes), slopes, 0.0)
+        deviations = np.where(lower, below, above)
+        slopes = scipy.stats.norm.pdf(scores) / np.asarray(frozen.pdf(deviations))
+    return deviations, np.where(np.isfinite(slopes), slopes, 0.0)
 
 
 def _call(frozen: Any, old: str, new: str) -> Any:
@@ -99,9 +102,9 @@ def _call(frozen: Any, old: str, new: str) -> Any:
 def _is_continuous(frozen: Any) -> bool:
     """Whether scipy knows density, quantile and standard deviation of it."""
     pairs = (("ppf", "icdf"), ("isf", "iccdf"), ("std", "standard_deviation"))
-    found = all(any(callable(getattr(frozen, name, None)) for name in pair) for pair in pairs)
+    has_all = all(any(callable(getattr(frozen, name, None)) for name in pair) for pair in pairs)
     generic = isinstance(frozen, (scipy.stats.rv_continuous, scipy.stats.rv_discrete))
-    return found and callable(getattr(frozen, "pdf", None)) and not generic
+    return has_all and callable(getattr(frozen, "pdf", None)) and not generic
 
 
 class FromScipy(AbstractDistribution):
@@ -142,7 +145,7 @@ class FromScipy(AbstractDistribution):
         self.spread = spread
 
     def quantile(self, share):
-        return self.of_score(ndtri(share))
+        return self.of_score(xp.ndtri(share))
 
     def of_score(self, score):
         return self.table.of_score(score)
@@ -175,10 +178,10 @@ class Empirical(AbstractDistribution):
 
     def __init__(self, deviations: Any, *, low: float | None = None, high: float | None = None):
         try:
-            own = np.sort(np.asarray(deviations, float).ravel())
+            ordered = np.sort(np.asarray(deviations, float).ravel())
         except (TypeError, ValueError):
-            own = np.zeros(0)
-        if len(own) < 2 or not np.all(np.isfinite(own)) or own[0] == own[-1]:
+            ordered = np.zeros(0)
+        if len(ordered) < 2 or not np.all(np.isfinite(ordered)) or ordered[0] == ordered[-1]:
             raise ValueError(
                 f"distribution.Empirical is given {described(deviations)}; it must be two "
                 "different finite numbers at least."
@@ -188,25 +191,26 @@ class Empirical(AbstractDistribution):
                 f"distribution.Empirical has low = {low:g}, high = {high:g}; low must be below "
                 "high."
             )
-        self.deviations, self.low, self.high = jnp.asarray(own), low, high
+        self.deviations, self.low, self.high = jnp.asarray(ordered), low, high
 
     def _within(self) -> Array:
         """Its values, none beyond its ends."""
-        return jnp.clip(self.deviations, self.low, self.high)
+        low = -np.inf if self.low is None else self.low
+        return xp.clip(self.deviations, low, np.inf if self.high is None else self.high)
 
     def quantile(self, share):
-        return self.of_score(ndtri(share))
+        return self.of_score(xp.ndtri(share))
 
     def of_score(self, score):
-        own, count = self._within(), len(self.deviations)
+        inside, count = self._within(), len(self.deviations)
         ends = (
-            own[0] if self.low is None else self.low,
-            own[-1] if self.high is None else self.high,
+            inside[0] if self.low is None else self.low,
+            inside[-1] if self.high is None else self.high,
         )
-        scores = ndtri((jnp.arange(count) + 0.5) / count)
-        outer = jnp.array([LARGEST_SCORE])
-        scores = jnp.concatenate([-outer, scores, outer])
-        return jnp.interp(score, scores, jnp.concatenate([ends[0][None], own, ends[1][None]]))
+        scores = xp.ndtri((np.arange(count) + 0.5) / count)
+        outer = np.array([LARGEST_SCORE])
+        scores = xp.concatenate([-outer, scores, outer])
+        return xp.interp(score, scores, xp.concatenate([ends[0][None], inside, ends[1][None]]))
 
     def deviation(self):
-        return jnp.std(self._within())
+        return xp.std(self._within())

@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxclear.studies.fidelity.model import Model, told_by
+from jaxclear.studies.fidelity.model import Model, model_responses
 from jaxclear.studies.sampling import by_scrambling, draw
 from jaxclear.studies.scrambling import seed_of
 from jaxclear.studies.surface.control_variate import regressed
@@ -47,8 +47,8 @@ class Chain(NamedTuple):
 
     def costs(self, each: np.ndarray) -> np.ndarray:
         """What a sample of each link costs, where a run of a model costs `each` (models,)."""
-        own = each[list(self.models)]
-        return own + np.append(own[1:], 0.0)
+        model_costs = each[list(self.models)]
+        return model_costs + np.append(model_costs[1:], 0.0)
 
 
 def scatter(numbers: np.ndarray, parts: int) -> np.ndarray:
@@ -58,34 +58,34 @@ def scatter(numbers: np.ndarray, parts: int) -> np.ndarray:
     return means.var(axis=0, ddof=1) * (len(numbers) // parts)
 
 
-def chosen(moments: list[np.ndarray], costs: np.ndarray, wanted: np.ndarray, parts: int) -> Chain:
-    """The chain of the least work for means as certain as `wanted` (responses,), from the moments
+def chosen(moments: list[np.ndarray], costs: np.ndarray, target: np.ndarray, parts: int) -> Chain:
+    """The chain of the least work for means as certain as `target` (responses,), from the moments
     (samples, moments) of each model in the pilot sample and the cost of a run of each."""
-    alone = _one_chain((0,), moments, costs, wanted, parts)
+    alone = _one_chain((0,), moments, costs, target, parts)
     cheap = sorted(range(1, len(moments)), key=lambda m: -costs[m])
     best = alone
     for count in range(1, len(cheap) + 1):
         for some in combinations(cheap, count):
-            found = _one_chain((0, *some), moments, costs, wanted, parts)
-            best = max(best, found, key=lambda chain: chain.gain)
+            chain = _one_chain((0, *some), moments, costs, target, parts)
+            best = max(best, chain, key=lambda chain: chain.gain)
     return best if best.gain >= LEAST_GAIN else alone
 
 
-def _one_chain(models, moments, costs, wanted, parts) -> Chain:
+def _one_chain(models, moments, costs, target, parts) -> Chain:
     weights = np.array([regressed(moments[a], moments[b]) for a, b in pairwise(models)]).reshape(
         len(models) - 1, moments[0].shape[1]
     )
     plain = scatter(moments[0], parts) * costs[0]
-    found = Chain(models, weights, 1.0, np.zeros(len(models)))
-    work, _ = _work(found, moments, costs, parts)
+    chain = Chain(models, weights, 1.0, np.zeros(len(models)))
+    work, _ = _work(chain, moments, costs, parts)
     # What a chain does not serve is left to the runs of the accurate problem themselves.
-    found = found._replace(weights=np.where(work < plain, weights, 0.0))
-    work, need = _work(found, moments, costs, parts)
-    count = len(wanted)
-    hard = lambda own: np.max(own[:count] / wanted**2)
-    most = int(np.argmax(work[:count] / wanted**2))
+    chain = chain._replace(weights=np.where(work < plain, weights, 0.0))
+    work, need = _work(chain, moments, costs, parts)
+    count = len(target)
+    hard = lambda variances: np.max(variances[:count] / target**2)
+    most = int(np.argmax(work[:count] / target**2))
     gain = hard(plain) / hard(work) if hard(work) > 0 else 1.0
-    return found._replace(gain=float(gain), need=need[:, most])
+    return chain._replace(gain=float(gain), need=need[:, most])
 
 
 def _work(chain: Chain, moments, costs, parts) -> tuple[np.ndarray, np.ndarray]:
@@ -106,45 +106,45 @@ class Link:
 
     def __init__(self, models: list[Model], weights: np.ndarray | None, cost: float):
         self.models, self.weights, self.cost = models, weights, cost
-        self.left = self.own = np.zeros((0, 0, 0))
+        self.residuals = self.moments = np.zeros((0, 0, 0))
         self.good = self.warned = np.zeros(0, bool)
 
     def add(self, values: np.ndarray, parts: int, question, progress_bar: bool) -> None:
         """Takes in the samples at values, the scramblings taking turns."""
         upper = self.models[0].runs(values, progress_bar)
-        told = told_by(self.models[0], question.names, upper)
-        own = told.moments(question.middle)
-        left = own
+        upper_runs = model_responses(self.models[0], question.names, upper)
+        moments = upper_runs.moments(question.middle)
+        correction = moments
         if self.weights is not None:
-            lower = told_by(self.models[1], question.names, self.models[1].runs(values))
-            left = own - self.weights * lower.moments(question.middle)
-        empty = (parts, -1, own.shape[1])
+            lower = model_responses(self.models[1], question.names, self.models[1].runs(values))
+            correction = moments - self.weights * lower.moments(question.middle)
+        empty = (parts, -1, moments.shape[1])
         cut = lambda array: by_scrambling(array, parts)
-        self.left = np.concatenate([self.left.reshape(empty), cut(left)], axis=1)
-        self.own = np.concatenate([self.own.reshape(empty), cut(own)], axis=1)
-        self.good = np.concatenate([self.good, told.good])
+        self.residuals = np.concatenate([self.residuals.reshape(empty), cut(correction)], axis=1)
+        self.moments = np.concatenate([self.moments.reshape(empty), cut(moments)], axis=1)
+        self.good = np.concatenate([self.good, upper_runs.good])
         self.warned = np.concatenate([self.warned, question.doubt(upper, len(values))])
 
     @property
     def points(self) -> int:
         """Points of each scrambling."""
-        return self.left.shape[1]
+        return self.residuals.shape[1]
 
     def means(self) -> np.ndarray:
         """By scrambling, (scramblings, moments)."""
-        return self.left.mean(axis=1)
+        return self.residuals.mean(axis=1)
 
 
 class Links:
     """All links of a chain. `most` is the work that they may take, in runs of the problem."""
 
     def __init__(self, question, models: list[Model], chain: Chain, costs: np.ndarray):
-        own = [models[i] for i in chain.models]
+        selected = [models[i] for i in chain.models]
         each = chain.costs(costs)
         self.question, self.chain = question, chain
         self.links = [
-            Link(own[i : i + 2], chain.weights[i] if i < len(chain.weights) else None, each[i])
-            for i in range(len(own))
+            Link(selected[i : i + 2], chain.weights[i] if i < len(chain.weights) else None, each[i])
+            for i in range(len(selected))
         ]
         self.carried = chain.carried()
 
@@ -160,10 +160,10 @@ class Links:
         need, each = self.chain.need, [link.cost for link in self.links]
         times = np.sqrt(np.maximum(need / each, 0.0) / max(need[0] / each[0], 1e-300))
         ratio = np.clip(times, 1.0, MOST_FIRST / FIRST)
-        wish = [FIRST, *(FIRST * 2 ** int(np.log2(own)) for own in ratio[1:])]
+        wish = [FIRST, *(FIRST * 2 ** int(np.log2(multiple)) for multiple in ratio[1:])]
         taken = lambda i: self.question.parts * wish[i] * each[i]
         while sum(map(taken, range(len(wish)))) > most and max(wish) > FIRST:
-            wish[max((i for i, own in enumerate(wish) if own > FIRST), key=taken)] //= 2
+            wish[max((i for i, count in enumerate(wish) if count > FIRST), key=taken)] //= 2
         for i, link in enumerate(self.links):
             self._grow(i, link, wish[i])
 
@@ -171,39 +171,39 @@ class Links:
         """Doubles the link that tells most of the hardest mean for its cost, of those for which
         there is work left; whether there was one."""
         parts = self.question.parts
-        left = most - self.work
-        able = [i for i, own in enumerate(self.links) if parts * own.points * own.cost <= left]
+        budget = most - self.work
+        able = [i for i, link in enumerate(self.links) if parts * link.points * link.cost <= budget]
         if not able:
             return False
         which = hardest(self.parts())
-        told = lambda i: self.carried[i, which] ** 2 * self.links[i].means()[:, which].var(ddof=1)
-        worth = {i: told(i) / (self.links[i].points * self.links[i].cost) for i in able}
+        var_of = lambda i: self.carried[i, which] ** 2 * self.links[i].means()[:, which].var(ddof=1)
+        worth = {i: var_of(i) / (self.links[i].points * self.links[i].cost) for i in able}
         best = max(able, key=lambda i: worth[i])
         self._grow(best, self.links[best], self.links[best].points)
         return True
 
     def _grow(self, place: int, link: Link, more: int) -> None:
-        asked = self.question
-        seed = seed_of(asked.seed, place)
-        span = link.points * asked.parts, (link.points + more) * asked.parts
-        values = draw(asked.problem, span[1], seed, asked.sampling, asked.parts, span)
-        link.add(values, asked.parts, asked, asked.progress_bar)
+        question = self.question
+        seed = seed_of(question.seed, place)
+        span = link.points * question.parts, (link.points + more) * question.parts
+        values = draw(question.problem, span[1], seed, question.sampling, question.parts, span)
+        link.add(values, question.parts, question, question.progress_bar)
 
     def parts(self) -> np.ndarray:
         """Contributions of the scramblings to each moment of the runs that did not fail,
         (scramblings, moments)."""
-        told = sum(
+        estimates = sum(
             weight * link.means() for weight, link in zip(self.carried, self.links, strict=True)
         )
-        return told / max(self.links[0].good.mean(), 1e-300)
+        return estimates / max(self.links[0].good.mean(), 1e-300)
 
     def plain(self) -> np.ndarray:
         """The same of the runs of the problem alone, by half, a quarter and an eighth of the points
         too: (sizes, scramblings, moments), the largest first."""
-        own = self.links[0].own
+        moments = self.links[0].moments
         sizes: list[np.ndarray] = []
-        count = own.shape[1]
+        count = moments.shape[1]
         while count >= 1 and len(sizes) < 4:
-            sizes.append(own[:, :count].mean(axis=1))
+            sizes.append(moments[:, :count].mean(axis=1))
             count //= 2
         return np.array(sizes)

@@ -53,9 +53,9 @@ class Model(NamedTuple):
         """Its samples at values, and what a run takes [s] without compilation: CPU time, or where
         an accelerator computes the time on the clock. What is too short to be timed is timed in
         full chunks, as the study runs them."""
-        found, store = self.runs(values, progress_bar), CURRENT.get()
+        result, store = self.runs(values, progress_bar), CURRENT.get()
         if store is None:
-            return found, self._seconds_a_run(values)
+            return result, self._seconds_a_run(values)
         # What is read from a store takes no time: the first time it was computed counts.
         address = compute_address(in_texts(self.problem), "seconds a run", self.chunk)
 
@@ -69,7 +69,7 @@ class Model(NamedTuple):
             store.write(address, {"seconds": seconds})
             return seconds
 
-        return found, store.obtain(address, load, compute, wait=True)
+        return result, store.obtain(address, load, compute, wait=True)
 
     def _seconds_a_run(self, values: np.ndarray) -> float:
         """What a run takes [s], without compilation."""
@@ -85,39 +85,39 @@ class Model(NamedTuple):
     def _seconds(self, values: np.ndarray) -> float:
         """What runs at values take, compiled before."""
         clock = time.process_time if jax.default_backend() == "cpu" else time.perf_counter
-        begun = clock()
+        start = clock()
         self.runs(values)
-        return clock() - begun
+        return clock() - start
 
 
 def models_of(problem: Problem, cheaper: Any, samples: int) -> list[Model]:
     """The accurate problem, and what is cheaper. Raises `ValueError` with a sentence for what does
     not answer the same question."""
-    given = cheaper if isinstance(cheaper, Mapping) else {ALONE: cheaper}
-    if not given:
+    mapping = cheaper if isinstance(cheaper, Mapping) else {ALONE: cheaper}
+    if not mapping:
         raise ValueError("cheaper is empty; give a cheaper problem, or several by name.")
     every = tuple(range(len(problem.names)))
     models = [Model(ACCURATE, problem, every, chunk_size(problem, samples))]
-    for name, own in given.items():
+    for name, model in mapping.items():
         expect(name, str, "a name in cheaper", "a text")
-        expect(own, Problem, f'cheaper "{name}"', "a problem of jaxclear")
-        strange = [n for n in own.names if n not in problem.names]
-        if strange or not own.names:
+        expect(model, Problem, f'cheaper "{name}"', "a problem of jaxclear")
+        strange = [n for n in model.names if n not in problem.names]
+        if strange or not model.names:
             raise ValueError(
-                f'cheaper "{name}" varies {listed(own.names) or "nothing"}; its variables must be '
-                f"among those of the problem: {listed(problem.names)}."
+                f'cheaper "{name}" varies {listed(model.names) or "nothing"}; its variables must '
+                f"be among those of the problem: {listed(problem.names)}."
             )
-        if not set(own.response_names) & set(problem.response_names):
+        if not set(model.response_names) & set(problem.response_names):
             raise ValueError(
-                f'cheaper "{name}" answers {listed(own.response_names)}; it must have a response '
+                f'cheaper "{name}" answers {listed(model.response_names)}; it must have a response '
                 f"of the problem: {listed(problem.response_names)}."
             )
-        columns = tuple(problem.names.index(n) for n in own.names)
-        models.append(Model(name, own, columns, chunk_size(own, samples)))
+        columns = tuple(problem.names.index(n) for n in model.names)
+        models.append(Model(name, model, columns, chunk_size(model, samples)))
     return models
 
 
-class Told(NamedTuple):
+class ModelResponses(NamedTuple):
     """What runs of a model tell of each response of the problem: `responses` (samples, responses),
     nan where it failed or has none, and whether each run is good and carries no warning."""
 
@@ -131,11 +131,11 @@ class Told(NamedTuple):
         return np.concatenate([away, away**2], axis=1)
 
 
-def told_by(model: Model, names: tuple[str, ...], found: Any) -> Told:
+def model_responses(model: Model, names: tuple[str, ...], result: Any) -> ModelResponses:
     """What samples of a model tell of the responses of these names."""
-    reached, nothing = found.reached_responses(), np.full(len(found.outcome), np.nan)
-    refuse_endless(model.problem, found.responses, "mean or deviation")
-    own = [i for i, name in enumerate(names) if name in model.problem.response_names]
+    reached, nothing = result.reached_responses(), np.full(len(result.outcome), np.nan)
+    refuse_endless(model.problem, result.responses, "mean or deviation")
+    indices = [i for i, name in enumerate(names) if name in model.problem.response_names]
     responses = np.stack([reached.get(name, nothing) for name in names], axis=1)
-    good = np.all(np.isfinite(responses[:, own]), axis=1)
-    return Told(np.where(good[:, None], responses, np.nan), good)
+    good = np.all(np.isfinite(responses[:, indices]), axis=1)
+    return ModelResponses(np.where(good[:, None], responses, np.nan), good)

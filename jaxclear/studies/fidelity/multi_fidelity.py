@@ -15,12 +15,12 @@ import numpy as np
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_count, check_flags, check_number
 from jaxclear.studies.fidelity.levels import FIRST, Chain, Links, chosen
-from jaxclear.studies.fidelity.model import Model, models_of, told_by
+from jaxclear.studies.fidelity.model import Model, model_responses, models_of
 from jaxclear.studies.fidelity.result import MultiFidelity, rate
 from jaxclear.studies.problem import Problem
 from jaxclear.studies.sampling import check_sampled, draw
 from jaxclear.studies.scrambling import seed_of
-from jaxclear.studies.statistics.accuracy import asked_of, unreached
+from jaxclear.studies.statistics.accuracy import parse_accuracy, unreached
 from jaxclear.studies.statistics.scrambled import Statistic, deviation_of_moments, student
 from jaxclear.studies.store.store import stored
 from jaxclear.studies.warned import any_warning
@@ -47,9 +47,9 @@ class Question(NamedTuple):
     parts: int
     progress_bar: bool
 
-    def doubt(self, found: Any, runs: int) -> np.ndarray:
+    def doubt(self, result: Any, runs: int) -> np.ndarray:
         """Which runs carry a warning, (runs,)."""
-        return any_warning(found.checks, runs)
+        return any_warning(result.checks, runs)
 
 
 @answering
@@ -99,99 +99,99 @@ def multi_fidelity(
     check_flags("multi_fidelity", progress_bar=progress_bar)
     least = SCRAMBLINGS * (PILOT_POINTS + FIRST)
     check_count("samples of multi_fidelity", samples, at_least=2 * least)
-    asked = asked_of(accuracy, problem.response_names, "multi_fidelity")
+    request = parse_accuracy(accuracy, problem.response_names, "multi_fidelity")
     models = models_of(problem, cheaper, samples)
-    known = _known_costs(costs, models)
+    fixed_costs = _check_costs(costs, models)
     points = 2 ** int(np.log2(max(samples * PILOT_SHARE / SCRAMBLINGS, PILOT_POINTS)))
     question = Question(
         problem, problem.response_names, np.zeros(0), seed, sampling, SCRAMBLINGS, progress_bar
     )
-    pilot = _Pilot(question, models, points, known)
+    pilot = _Pilot(question, models, points, fixed_costs)
     question = question._replace(middle=pilot.middle)
-    wanted, target = pilot.wanted(asked)
-    chain = chosen(pilot.moments(), pilot.costs, wanted, SCRAMBLINGS)
+    errors, target = pilot.target_errors(request)
+    chain = chosen(pilot.moments(), pilot.costs, errors, SCRAMBLINGS)
     links = Links(question, models, chain, pilot.costs)
     links.begin(samples - pilot.work)
     count = len(question.names)
     times = student(SCRAMBLINGS) / np.sqrt(SCRAMBLINGS)
     half = lambda parts: times * parts[:, :count].std(axis=0, ddof=1)
     while not np.all(half(links.parts()) <= target):
-        hardest = lambda parts: int(np.argmax(half(parts) / wanted))
+        hardest = lambda parts: int(np.argmax(half(parts) / errors))
         if not links.grow(samples - pilot.work, hardest):
             break
-    return _result(question, models, chain, links, pilot, target if asked else None)
+    return _result(question, models, chain, links, pilot, target if request else None)
 
 
-def _known_costs(costs: Mapping[str, float] | None, models: list[Model]) -> dict[str, float]:
+def _check_costs(costs: Mapping[str, float] | None, models: list[Model]) -> dict[str, float]:
     names = [model.name for model in models[1:]]
-    for name, own in (costs or {}).items():
+    for name, cost in (costs or {}).items():
         if name not in names:
             raise ValueError(f'costs names "{name}", which is not in cheaper: {", ".join(names)}.')
-        check_number(f'cost of "{name}"', own, above=0)
-    return {name: float(own) for name, own in (costs or {}).items()}
+        check_number(f'cost of "{name}"', cost, above=0)
+    return {name: float(cost) for name, cost in (costs or {}).items()}
 
 
 class _Pilot:
     """Runs of all models at the same values, which choose and serve nothing else."""
 
-    def __init__(self, question: Question, models: list[Model], points: int, known: dict):
+    def __init__(self, question: Question, models: list[Model], points: int, fixed_costs: dict):
         self.question, self.models = question, models
         seed = seed_of(question.seed, PILOT_SEED)
         count = points * question.parts
         values = draw(question.problem, count, seed, question.sampling, question.parts)
         names = question.names
-        plain = all(model.name in known for model in models[1:])
-        shown = question.progress_bar
-        run = lambda m: (m.runs(values, shown), 1.0) if plain else m.timed(values, shown)
-        found = {model.name: run(model) for model in models}
-        self.told = [told_by(model, names, found[model.name][0]) for model in models]
-        first = found[models[0].name][1]
-        spent = {name: seconds / first for name, (_, seconds) in found.items()}
+        plain = all(model.name in fixed_costs for model in models[1:])
+        bar = question.progress_bar
+        run = lambda m: (m.runs(values, bar), 1.0) if plain else m.timed(values, bar)
+        results = {model.name: run(model) for model in models}
+        self.outcomes = [model_responses(model, names, results[model.name][0]) for model in models]
+        first = results[models[0].name][1]
+        spent = {name: seconds / first for name, (_, seconds) in results.items()}
         measured = {n: ROUNDED ** np.round(np.log(x) / np.log(ROUNDED)) for n, x in spent.items()}
-        self.costs = np.array([1.0, *((measured | known)[m.name] for m in models[1:])])
+        self.costs = np.array([1.0, *((measured | fixed_costs)[m.name] for m in models[1:])])
         self.work = count * float(self.costs.sum())
-        own = self.told[0].responses
-        if not np.any(self.told[0].good):
+        responses = self.outcomes[0].responses
+        if not np.any(self.outcomes[0].good):
             raise ValueError(
                 f"all {count} runs of the pilot sample failed; look at one with "
                 "jaxclear.monte_carlo(problem, ...).failures()."
             )
-        self.middle = np.nanmean(own, axis=0)
-        self.size = np.sqrt(np.nanmean(own**2, axis=0))
+        self.middle = np.nanmean(responses, axis=0)
+        self.size = np.sqrt(np.nanmean(responses**2, axis=0))
 
     def failed(self) -> dict[str, float]:
         """Share [1] of the runs of each cheaper model that failed."""
-        shares = [float((~told.good).mean()) for told in self.told[1:]]
-        return {m.name: own for m, own in zip(self.models[1:], shares, strict=True)}
+        shares = [float((~runs.good).mean()) for runs in self.outcomes[1:]]
+        return {m.name: share for m, share in zip(self.models[1:], shares, strict=True)}
 
     def moments(self) -> list[np.ndarray]:
         """Of each model, (samples, 2 responses)."""
-        return [told.moments(self.middle) for told in self.told]
+        return [runs.moments(self.middle) for runs in self.outcomes]
 
-    def wanted(self, asked: Any) -> tuple[np.ndarray, np.ndarray]:
+    def target_errors(self, request: Any) -> tuple[np.ndarray, np.ndarray]:
         """Half widths (responses,) by which responses are weighed against each other, and those
         that end the study: none is too small where no accuracy is asked."""
         size = np.where(self.size > 0, self.size, 1.0)
         names = self.question.names
-        if asked is None:
+        if request is None:
             return size, np.where(self.size > 0, 0.0, np.inf)
-        told, share = asked
-        found = np.array([told.get(name, np.inf) for name in names])
-        found = np.where(np.isfinite(found), found * (size if share else 1.0), np.inf)
-        return found, found
+        requested, share = request
+        errors = np.array([requested.get(name, np.inf) for name in names])
+        errors = np.where(np.isfinite(errors), errors * (size if share else 1.0), np.inf)
+        return errors, errors
 
     def correlations(self) -> dict[tuple[str, str], float]:
         """Of each cheaper model's responses with the problem's."""
-        found = {}
-        first = self.told[0].responses
-        for model, told in zip(self.models[1:], self.told[1:], strict=True):
+        values = {}
+        first = self.outcomes[0].responses
+        for model, runs in zip(self.models[1:], self.outcomes[1:], strict=True):
             for i, name in enumerate(self.question.names):
                 if name in model.problem.response_names:
-                    both = np.isfinite(first[:, i]) & np.isfinite(told.responses[:, i])
-                    pair = first[both, i], told.responses[both, i]
+                    both = np.isfinite(first[:, i]) & np.isfinite(runs.responses[:, i])
+                    pair = first[both, i], runs.responses[both, i]
                     flat = both.sum() < 2 or min(np.std(pair[0]), np.std(pair[1])) == 0
-                    found[model.name, name] = 0.0 if flat else float(np.corrcoef(*pair)[0, 1])
-        return found
+                    values[model.name, name] = 0.0 if flat else float(np.corrcoef(*pair)[0, 1])
+        return values
 
 
 def _result(question, models, chain: Chain, links: Links, pilot: _Pilot, target) -> MultiFidelity:
@@ -229,8 +229,8 @@ def _result(question, models, chain: Chain, links: Links, pilot: _Pilot, target)
 
 def _runs(links: Links) -> tuple[int, ...]:
     """Runs of each model of the chain, those beside a better one counted in."""
-    own = [links.question.parts * link.points for link in links.links]
-    return tuple(n + (own[i - 1] if i else 0) for i, n in enumerate(own))
+    counts = [links.question.parts * link.points for link in links.links]
+    return tuple(n + (counts[i - 1] if i else 0) for i, n in enumerate(counts))
 
 
 def _gain(sizes: np.ndarray, parts: np.ndarray, links: Links) -> float:

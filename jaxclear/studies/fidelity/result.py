@@ -48,7 +48,7 @@ class MultiFidelity(AbstractAnswer):
         ]
         text = f"{' and '.join(counted)} in {self.scramblings} independent scramblings: the work "
         text += f"of {self.work:.0f} runs of the problem, and {self.pilot:.0f} for the choice."
-        parts = [text, self._gained(), self._left_out(), self._broken(), self.unreached]
+        parts = [text, self._gained(), self._unused_models(), self._broken(), self.unreached]
         if self.failed:
             parts.append(f"{self.failed} runs of the problem failed: numbers are of the others.")
         if self.warned:
@@ -58,43 +58,43 @@ class MultiFidelity(AbstractAnswer):
     def _gained(self) -> str:
         if len(self.used) == 1:
             return ""
-        told = [f"{name} {gain:.2g} times" for name, gain in self.gains.items() if gain >= 1]
-        lost = [f'"{name}"' for name, gain in self.gains.items() if gain < 1]
-        text = f"Plain sampling would take about this much more work: {', '.join(told)}."
-        parts = [text] if told else []
-        if lost:
-            parts.append(f"It would have been cheaper for {', '.join(lost)}.")
+        gains = [f"{name} {gain:.2g} times" for name, gain in self.gains.items() if gain >= 1]
+        without_gain = [f'"{name}"' for name, gain in self.gains.items() if gain < 1]
+        text = f"Plain sampling would take about this much more work: {', '.join(gains)}."
+        parts = [text] if gains else []
+        if without_gain:
+            parts.append(f"It would have been cheaper for {', '.join(without_gain)}.")
         return " ".join(parts)
 
-    def _left_out(self) -> str:
+    def _unused_models(self) -> str:
         """Why models were not used."""
         out = [name for name in self.costs if name not in self.used]
         if not out:
             return ""
-        said = [
+        sentences = [
             f'"{name}" does not pay: correlation '
             + ", ".join(
-                f"{own:.3g} with {response}"
-                for (model, response), own in self.correlations.items()
+                f"{correlation:.3g} with {response}"
+                for (model, response), correlation in self.correlations.items()
                 if model == name
             )
             + f", at {_work(self.costs[name])}"
             for name in out
         ]
         last = "; the problem was sampled plainly." if len(self.used) == 1 else "."
-        return f"{'; '.join(said)}{last}"
+        return f"{'; '.join(sentences)}{last}"
 
     def _broken(self) -> str:
         """Which models' runs failed, of which nothing is learned."""
-        told = [
+        failures = [
             f'{100 * share:.2g} % of the runs of "{name}"'
             for name, share in self.pilot_failed.items()
             if share > 0
         ]
-        if not told:
+        if not failures:
             return ""
         return (
-            f"{' and '.join(told)} failed in the pilot sample and tell nothing; "
+            f"{' and '.join(failures)} failed in the pilot sample and tell nothing; "
             "jaxclear.monte_carlo of the cheaper problem says why."
         )
 
@@ -106,8 +106,8 @@ class MultiFidelity(AbstractAnswer):
         columns |= means_and_deviations(self.means, self.standard_deviations)
         columns["gain"] = Column(over, self.gains, "1")
         for model in models:
-            own = {r: c for (m, r), c in self.correlations.items() if m == model}
-            columns[f"correlation with {model}"] = Column(over, own, "1")
+            correlations = {r: c for (m, r), c in self.correlations.items() if m == model}
+            columns[f"correlation with {model}"] = Column(over, correlations, "1")
         return Stated("multi-fidelity", columns, self.problem)
 
 

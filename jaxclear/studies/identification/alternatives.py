@@ -14,7 +14,7 @@ import scipy
 from jaxclear.studies.identification.signal_fit import REFUSED, CredibleInterval, SignalFit
 
 
-class Kept(NamedTuple):
+class ModelChoice(NamedTuple):
     """`models`: names of those that the records do not speak against, the nearest first;
     `against`: a sentence by name of each other."""
 
@@ -22,33 +22,33 @@ class Kept(NamedTuple):
     against: dict[str, str]
 
 
-def kept_models(fits: Mapping[str, Sequence[SignalFit]]) -> Kept:
+def choose_models(fits: Mapping[str, Sequence[SignalFit]]) -> ModelChoice:
     """Which models stay, by their fits of each record. One is left out where a record refuses it,
     or where the nearest is so much nearer that one right model in a thousand would be."""
     against = {}
-    for name, own in fits.items():
-        refused = [fit.refusal for fit in own if fit.refusal]
+    for name, model_fits in fits.items():
+        refused = [fit.refusal for fit in model_fits if fit.refusal]
         if refused:
             against[name] = refused[0]
-    order = sorted((name for name in fits if name not in against), key=lambda n: _left(fits[n]))
-    kept = order[:1]
+    order = sorted((name for name in fits if name not in against), key=lambda n: _log_size(fits[n]))
+    retained = order[:1]
     for name in order[1:]:
-        apart = len(fits[name][0].best) - len(fits[order[0]][0].best)
-        limit = float(scipy.stats.chi2.isf(REFUSED, max(abs(apart), 1)))
+        extra_unknowns = len(fits[name][0].best) - len(fits[order[0]][0].best)
+        limit = float(scipy.stats.chi2.isf(REFUSED, max(abs(extra_unknowns), 1)))
         ratio = sum(map(_log_ratio, fits[name], fits[order[0]]))
         if ratio <= limit:
-            kept.append(name)
+            retained.append(name)
         else:
             against[name] = (
                 f'"{order[0]}" is nearer to what was measured: twice the logarithm of the ratio of '
                 f"their likelihoods is {ratio:.3g}, where {limit:.3g} is the most of equals."
             )
-    return Kept(tuple(kept), against)
+    return ModelChoice(tuple(retained), against)
 
 
-def _left(fits: Sequence[SignalFit]) -> float:
+def _log_size(fits: Sequence[SignalFit]) -> float:
     """What is left of the records, as a logarithm."""
-    return float(sum(np.log(own.size) for fit in fits for own in fit.misfits.values()))
+    return float(sum(np.log(misfit.size) for fit in fits for misfit in fit.misfits.values()))
 
 
 def _log_ratio(fit: SignalFit, nearest: SignalFit) -> float:
@@ -56,23 +56,23 @@ def _log_ratio(fit: SignalFit, nearest: SignalFit) -> float:
     return float(
         sum(
             2.0
-            * own.samples
-            / max(own.time, nearest.misfits[name].time)
-            * np.log(own.size / nearest.misfits[name].size)
-            for name, own in fit.misfits.items()
+            * misfit.samples
+            / max(misfit.time, nearest.misfits[name].time)
+            * np.log(misfit.size / nearest.misfits[name].size)
+            for name, misfit in fit.misfits.items()
         )
     )
 
 
-def hull(told: Sequence[CredibleInterval]) -> CredibleInterval:
+def hull(estimates: Sequence[CredibleInterval]) -> CredibleInterval:
     """The interval that holds those that each model tells of one unknown, or of a response."""
-    values = np.array([own.value for own in told])
-    deviation = np.sqrt(np.mean([own.deviation**2 for own in told]) + values.var())
+    values = np.array([estimate.value for estimate in estimates])
+    deviation = np.sqrt(np.mean([estimate.deviation**2 for estimate in estimates]) + values.var())
     return CredibleInterval(
         float(values.mean()),
-        min(own.low for own in told),
-        max(own.high for own in told),
+        min(estimate.low for estimate in estimates),
+        max(estimate.high for estimate in estimates),
         float(deviation),
-        min(own.prior_low for own in told),
-        max(own.prior_high for own in told),
+        min(estimate.prior_low for estimate in estimates),
+        max(estimate.prior_high for estimate in estimates),
     )

@@ -6,9 +6,7 @@ say that the records do not speak against.
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-import jax.numpy as jnp
-
-from jaxclear.studies.identification.alternatives import Kept, hull, kept_models
+from jaxclear.studies.identification.alternatives import ModelChoice, choose_models, hull
 from jaxclear.studies.identification.forward import Forward, Record
 from jaxclear.studies.identification.several_records import (
     FEWEST,
@@ -21,26 +19,26 @@ from jaxclear.studies.problem import Problem
 
 
 class BySignal(NamedTuple):
-    """What records tell. `fits`: of each model each record; `kept`: the models that remain, and
-    sentences against the others; `unknowns` and `answers`: intervals that hold those of all kept
-    models, for what all have (of several records, of the next one); `own`: what only some models
-    have, by model; `between`: the differences between records, by model and name."""
+    """What records tell. `fits`: of each model each record; `choice`: the models that remain, and
+    sentences against the others; `unknowns` and `answers`: intervals that hold those of all
+    remaining models, for what all have (of several records, of the next one); `by_model`: what only
+    some models have, by model; `between`: the differences between records, by model and name."""
 
     fits: dict[str, tuple[SignalFit, ...]]
-    kept: Kept
+    choice: ModelChoice
     unknowns: dict[str, CredibleInterval]
     answers: dict[str, CredibleInterval]
-    own: dict[str, dict[str, CredibleInterval]]
+    by_model: dict[str, dict[str, CredibleInterval]]
     between: dict[str, dict[str, NextRecord]]
 
     @property
     def refusal(self) -> str:
         """Why nothing is told; "" where something is."""
-        if self.kept.models:
+        if self.choice.models:
             return ""
         if len(self.fits) == 1:
-            return next(iter(self.kept.against.values()))
-        return " ".join(f"{name}: {why}" for name, why in self.kept.against.items())
+            return next(iter(self.choice.against.values()))
+        return " ".join(f"{name}: {why}" for name, why in self.choice.against.items())
 
 
 def by_signal(
@@ -58,36 +56,36 @@ def by_signal(
         name: tuple(fit_signal(model, record, **how) for model, record in every)
         for name, every in models.items()
     }
-    kept = kept_models(fits)
+    retained = choose_models(fits)
     unknowns: dict[str, dict[str, CredibleInterval]] = {}
     answers: dict[str, dict[str, CredibleInterval]] = {}
     between: dict[str, dict[str, NextRecord]] = {}
-    for name in kept.models:
-        own, problem = fits[name], models[name][0][0].problem
-        told = [{**fit.unknowns, **fit.answers} for fit in own]
-        found = {key: interval_of([each[key] for each in told]) for key in told[0]}
-        unknowns[name] = {key: _within(problem, key, found[key]) for key in own[0].unknowns}
-        answers[name] = {key: found[key] for key in own[0].answers}
-        if len(own) >= FEWEST:
-            between[name] = {key: next_record([each[key] for each in told]) for key in told[0]}
+    for name in retained.models:
+        chosen, problem = fits[name], models[name][0][0].problem
+        rows = [{**fit.unknowns, **fit.answers} for fit in chosen]
+        intervals = {key: interval_of([each[key] for each in rows]) for key in rows[0]}
+        unknowns[name] = {key: _within(problem, key, intervals[key]) for key in chosen[0].unknowns}
+        answers[name] = {key: intervals[key] for key in chosen[0].answers}
+        if len(chosen) >= FEWEST:
+            between[name] = {key: next_record([each[key] for each in rows]) for key in rows[0]}
     shared, rest = _shared(unknowns)
-    return BySignal(fits, kept, shared, _shared(answers)[0], rest, between)
+    return BySignal(fits, retained, shared, _shared(answers)[0], rest, between)
 
 
-def _within(problem: Problem, name: str, own: CredibleInterval) -> CredibleInterval:
+def _within(problem: Problem, name: str, interval: CredibleInterval) -> CredibleInterval:
     """An interval of an unknown within the ends of its prior."""
     place = problem.names.index(name)
     distribution, nominal = problem.inputs.distributions[place], float(problem.nominal()[place])
-    low, high = (nominal + float(distribution.quantile(jnp.asarray(end))) for end in (0.0, 1.0))
-    return own._replace(low=max(own.low, low), high=min(own.high, high))
+    low, high = (nominal + float(distribution.quantile(end)) for end in (0.0, 1.0))
+    return interval._replace(low=max(interval.low, low), high=min(interval.high, high))
 
 
 def _shared(
     every: dict[str, dict[str, CredibleInterval]],
 ) -> tuple[dict[str, CredibleInterval], dict[str, dict[str, CredibleInterval]]]:
     """What all models tell of, together; and what only some do, by model."""
-    told = list(every.values())
-    names = [n for n in told[0] if all(n in own for own in told)] if told else []
-    shared = {name: hull([own[name] for own in told]) for name in names}
-    rest = {model: {n: x for n, x in own.items() if n not in names} for model, own in every.items()}
-    return shared, {model: own for model, own in rest.items() if own}
+    rows = list(every.values())
+    names = [n for n in rows[0] if all(n in row for row in rows)] if rows else []
+    shared = {name: hull([row[name] for row in rows]) for name in names}
+    rest = {model: {n: x for n, x in row.items() if n not in names} for model, row in every.items()}
+    return shared, {model: row for model, row in rest.items() if row}

@@ -32,16 +32,16 @@ class Record(NamedTuple):
     @property
     def row(self) -> np.ndarray:
         """All signals in one row (n,)."""
-        return np.concatenate([np.asarray(own, float) for own in self.signals.values()])
+        return np.concatenate([np.asarray(signal, float) for signal in self.signals.values()])
 
     @property
     def parts(self) -> tuple[slice, ...]:
         """Where each signal stands in the row."""
-        ends = np.cumsum([0, *(len(own) for own in self.signals.values())])
+        ends = np.cumsum([0, *(len(signal) for signal in self.signals.values())])
         return tuple(slice(a, b) for a, b in itertools.pairwise(ends))
 
 
-class Shown(NamedTuple):
+class ModelOutput(NamedTuple):
     """What one set of values gives: signals (n,) and responses, by name."""
 
     signals: Mapping[str, Array]
@@ -53,16 +53,16 @@ class Forward(eqx.Module):
     values)`; `names` of the signals, in the order of the record. Pure."""
 
     problem: Problem
-    shown: Callable[[Any, Array], Shown]
+    simulate: Callable[[Any, Array], ModelOutput]
     names: tuple[str, ...] = eqx.field(static=True)
 
     def row(self, values: Float[Array, " variables"]) -> Float[Array, " n"]:
         """The signals in one row."""
-        return self.in_row(self.shown(self.problem, values))
+        return self.in_row(self.simulate(self.problem, values))
 
-    def in_row(self, shown: Shown) -> Float[Array, " n"]:
+    def in_row(self, output: ModelOutput) -> Float[Array, " n"]:
         """The signals of what was shown in one row."""
-        return jnp.concatenate([shown.signals[name] for name in self.names])
+        return jnp.concatenate([output.signals[name] for name in self.names])
 
 
 class _Rows(eqx.Module):
@@ -73,9 +73,9 @@ class _Rows(eqx.Module):
     def __call__(self, problem: Problem, values: Array) -> tuple[Array, dict[str, Array]]:
         """Signals (samples, n) and responses (samples,) by name."""
 
-        def one(own: Array) -> tuple[Array, dict[str, Array]]:
-            found = self.forward.shown(problem, own)
-            return self.forward.in_row(found), dict(found.responses)
+        def one(row: Array) -> tuple[Array, dict[str, Array]]:
+            output = self.forward.simulate(problem, row)
+            return self.forward.in_row(output), dict(output.responses)
 
         return jax.vmap(one)(values)
 
@@ -83,20 +83,20 @@ class _Rows(eqx.Module):
 def answered(forward: Forward, values: np.ndarray) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """What a problem gives for many sets of values (samples, variables), in chunks that fit memory,
     on all cores: the signals (samples, n), and the responses (samples,) by name."""
-    found: Any = evaluate_all(forward.problem, values, function=_Rows(forward))
-    rows, responses = found
-    return np.asarray(rows), {name: np.asarray(own) for name, own in responses.items()}
+    results: Any = evaluate_all(forward.problem, values, function=_Rows(forward))
+    rows, responses = results
+    return np.asarray(rows), {name: np.asarray(values) for name, values in responses.items()}
 
 
 def check_signals(forward: Forward, record: Record) -> None:
     """Raises `ValueError` with a sentence where a signal is not as long as its measurement."""
     nominal = forward.problem.nominal()
-    shapes = eqx.filter_eval_shape(forward.shown, forward.problem, nominal).signals
+    shapes = eqx.filter_eval_shape(forward.simulate, forward.problem, nominal).signals
     for name, measured in record.signals.items():
         if name not in shapes:
-            known = listed(shapes) or "none"
+            names = listed(shapes) or "none"
             raise ValueError(
-                f'signal "{name}" is measured, and the problem gives {known}; name the series that '
+                f'signal "{name}" is measured, and the problem gives {names}; name the series that '
                 "it is compared with so."
             )
         if shapes[name].shape != np.shape(measured):

@@ -25,7 +25,12 @@ from jaxclear.studies.identification.models import (
     only_one,
     same_sensing,
 )
-from jaxclear.studies.identification.regression import Regression, regression, told, told_alone
+from jaxclear.studies.identification.regression import (
+    Regression,
+    predict,
+    regression,
+    residuals_alone,
+)
 from jaxclear.studies.identification.result import (
     NOT,
     NOTHING,
@@ -52,19 +57,19 @@ from jaxclear.studies.identification.sample import (
     statistics_of,
     watched,
 )
-from jaxclear.studies.identification.told import of_records, told_by_signals
+from jaxclear.studies.identification.told import identify_by_signals, of_records
 from jaxclear.studies.problem import Problem
 from jaxclear.studies.sampling import check_sampled
 from jaxclear.studies.store.store import open_store
 
-WAYS = ("statistics", "signal")
+METHODS = ("statistics", "signal")
 # What a folder is told to hold.
 WHAT = "the sample of an identification"
 # Runs below which residuals say nothing of an interval of 95 %.
 LEAST_RUNS = 64
 # Statistics tell an unknown where their left-out residuals are below this share of the prior's
 # deviation; beyond it, an interval that is narrower at some estimate is so by chance.
-TELLS = 0.9
+LARGEST_RESIDUAL = 0.9
 
 
 @answering
@@ -117,47 +122,47 @@ def identify(
     """
     records = checked_records(data)
     check_count("runs of identify", runs, at_least=LEAST_RUNS)
-    check_name("way", how, WAYS, " of identify")
+    check_name("way", how, METHODS, " of identify")
     check_flags("identify", progress_bar=progress_bar)
     models = models_of(problem, records)
     records = compared_records(problem, records)
-    for own in [own for every in models.values() for own in every]:
-        if own.response_names:
-            check_sampled(own, runs, seed)
+    for model in [model for every in models.values() for model in every]:
+        if model.response_names:
+            check_sampled(model, runs, seed)
     if how == "signal":
         check_only_signals(statistics=statistics, laws=laws, store=store)
-        return told_by_signals(models, records, runs, seed)
-    found: list[Identified] = []
+        return identify_by_signals(models, records, runs, seed)
+    results: list[Identified] = []
     fitted: list[tuple[Any, Measurement, RegressedStatistics]] = []
-    for own, record in zip(only_one(models), records, strict=True):
-        check_identifiable(own, record)
-        check_window(own, record)
-        same = [fit for one, other, fit in fitted if one is own and same_sensing(other, record)]
+    for model, record in zip(only_one(models), records, strict=True):
+        check_identifiable(model, record)
+        check_window(model, record)
+        same = [fit for one, other, fit in fitted if one is model and same_sensing(other, record)]
         if not same:
-            known = ensemble(own.mechanism, laws)
-            runs_of = watched(own, record, known)
+            candidates = ensemble(model.mechanism, laws)
+            runs_of = watched(model, record, candidates)
             with open_store(store, WHAT, runs_of):
-                sample = sampled(own, record, runs_of, known, runs, seed, progress_bar)
-            same = [fit(own, record, sample, _statistics(statistics, record), seed)]
-            fitted.append((own, record, same[0]))
-        found.append(answered(same[0], record))
-    return found[0] if len(found) == 1 else of_records(found[0].problem, found, seed)
+                sample = sampled(model, record, runs_of, candidates, runs, seed, progress_bar)
+            same = [fit(model, record, sample, _statistics(statistics, record), seed)]
+            fitted.append((model, record, same[0]))
+        results.append(answered(same[0], record))
+    return results[0] if len(results) == 1 else of_records(results[0].problem, results, seed)
 
 
-def _statistics(given: Any, record: Measurement) -> dict[str, Callable]:
+def _statistics(statistics: Any, record: Measurement) -> dict[str, Callable]:
     """Statistics by name."""
-    if given is None:
+    if statistics is None:
         return usual_statistics(record.turn is not None)
-    expect(given, Mapping, "statistics of identify", "a dictionary from names to functions")
-    for name, function in given.items():
+    expect(statistics, Mapping, "statistics of identify", "a dictionary from names to functions")
+    for name, function in statistics.items():
         if not callable(function):
             raise ValueError(
                 f'statistic "{name}" is {described(function)}; it must be a function of a '
                 "jaxclear.signal.Signal that returns an array (signals, numbers)."
             )
-    if not given:
+    if not statistics:
         raise ValueError("statistics of identify is empty; it must hold at least one.")
-    return dict(given)
+    return dict(statistics)
 
 
 class RegressedStatistics(NamedTuple):
@@ -198,27 +203,27 @@ def fit(
     return RegressedStatistics(problem, sample, statistics, cut, kinds, regressed, tellers)
 
 
-def answered(known: RegressedStatistics, record: Measurement) -> Identified:
+def answered(context: RegressedStatistics, record: Measurement) -> Identified:
     """What a record tells beside a sample that is fitted."""
-    problem, sample, fitted = known.problem, known.sample, known.regressed
-    own = {name: values[None] for name, values in record.signals.items()}
-    shown = statistics_of(as_signals(own, record, known.cut), known.statistics)
-    here = np.concatenate([one[0] for one in shown.values()])
+    problem, sample, fitted = context.problem, context.sample, context.regressed
+    signals = {name: values[None] for name, values in record.signals.items()}
+    stats = statistics_of(as_signals(signals, record, context.cut), context.statistics)
+    here = np.concatenate([one[0] for one in stats.values()])
     rows = [
-        (row.estimate, row.low, row.high) if scatter < TELLS else NOTHING
-        for row, scatter in zip(told(fitted, here), fitted.scatter, strict=True)
+        (row.estimate, row.low, row.high) if scatter < LARGEST_RESIDUAL else NOTHING
+        for row, scatter in zip(predict(fitted, here), fitted.scatter, strict=True)
     ]
     unknowns = tuple(
-        unknown_of(problem, name, row, known.tellers[name])
+        unknown_of(problem, name, row, context.tellers[name])
         for name, row in zip(problem.names, rows, strict=True)
     )
     explained = fitted.distance(here)
     if explained <= STRANGE and not _too_few(len(sample.values)):
         unknowns = unexplained(unknowns)
-    joint = _joint(fitted, here, [own.verdict == NOT for own in unknowns])
+    joint = _joint(fitted, here, [unknown.verdict == NOT for unknown in unknowns])
     values = [prior_quantiles(problem, n, joint[:, i]) for i, n in enumerate(problem.names)]
     remarks = (
-        *together(problem.names, fitted, [own.verdict for own in unknowns]),
+        *together(problem.names, fitted, [unknown.verdict for unknown in unknowns]),
         *ends_in_words(problem, unknowns),
         *_laws_in_words(sample.laws),
         *_too_few(len(sample.values)),
@@ -230,10 +235,10 @@ def answered(known: RegressedStatistics, record: Measurement) -> Identified:
         np.stack(values, axis=1),
         len(sample.values),
         sample.failed,
-        f"by {len(here)} statistics of {len(shown) // len(known.statistics)} signals",
+        f"by {len(here)} statistics of {len(stats) // len(context.statistics)} signals",
         remarks,
         explained,
-        Evidence(fitted, {n: (runs, shown[n][0]) for n, runs in known.kinds.items()}, joint),
+        Evidence(fitted, {n: (runs, stats[n][0]) for n, runs in context.kinds.items()}, joint),
     )
 
 
@@ -241,20 +246,20 @@ def _tellers(
     kinds: dict[str, np.ndarray], shares: np.ndarray, names: Sequence[str]
 ) -> dict[str, str]:
     """By unknown the kind of statistics that tells it best by itself."""
-    missed = {what: told_alone(own, shares) for what, own in kinds.items()}
-    found = {}
+    missed = {what: residuals_alone(kind, shares) for what, kind in kinds.items()}
+    tellers = {}
     for k, name in enumerate(names):
         best = min(missed, key=lambda what: float(missed[what][k]))
-        found[name] = best if missed[best][k] < TELLS else ""
-    return found
+        tellers[name] = best if missed[best][k] < LARGEST_RESIDUAL else ""
+    return tellers
 
 
 def _joint(fitted: Regression, here: np.ndarray, open_: list[bool]) -> np.ndarray:
     """Shares (runs, unknowns) that the unknowns may have together: the estimates and what they
     miss, run by run; of unknowns that are not identified, their own."""
     at = np.clip(fitted.estimates(here)[0], 0.0, 1.0)
-    found = np.clip(at + fitted.missed(at), 0.0, 1.0)
-    return np.where(open_, fitted.unknowns, found)
+    shares = np.clip(at + fitted.missed(at), 0.0, 1.0)
+    return np.where(open_, fitted.unknowns, shares)
 
 
 def _too_few(runs: int) -> tuple[str, ...]:
@@ -275,9 +280,9 @@ def _laws_in_words(laws: Ensemble) -> tuple[str, ...]:
         for what, names in laws.names.items()
     ]
     alone = [what for what in (DISSIPATION, FRICTION) if what not in laws.names]
-    own = f", and the mechanism's own {' and '.join(alone)}" if alone else ""
+    suffix = f", and the mechanism's own {' and '.join(alone)}" if alone else ""
     return (
         *acted,
         "Intervals suppose the restitution, the slip speeds and the stiffness of the mechanism, "
-        f"where these are no unknowns{own}: of a machine with others they need not hold.",
+        f"where these are no unknowns{suffix}: of a machine with others they need not hold.",
     )

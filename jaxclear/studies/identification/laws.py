@@ -44,18 +44,18 @@ def _choice() -> Any:
 class ChosenDissipation(AbstractDissipation):
     """The mechanism's own dissipation or one of the `others`, at the own law's restitution."""
 
-    own: AbstractRestitutionFactor = eqx.field(default_factory=CarvalhoMartins)
+    stated: AbstractRestitutionFactor = eqx.field(default_factory=CarvalhoMartins)
     others: tuple[AbstractRestitutionFactor, ...] = ()
     choice: Scalar = _choice()
     remembers_impact_speed = True
 
     @property
     def restitution(self):
-        return self.own.restitution
+        return self.stated.restitution
 
     def relative_damping(self, rate, impact_speed):
-        laws = (self.own, *(_with(one, "restitution", self.restitution) for one in self.others))
-        factors = [own.factor() for own in laws]
+        laws = (self.stated, *(_with(one, "restitution", self.restitution) for one in self.others))
+        factors = [law.factor() for law in laws]
         return _chosen(factors, self.choice) * rate / impact_speed
 
 
@@ -63,28 +63,28 @@ class ChosenFriction(AbstractSlipFriction):
     """The mechanism's own friction or one of the `others`, at the own law's kinetic coefficient;
     its other numbers are those of the own law."""
 
-    own: AbstractSlipFriction = eqx.field(default_factory=CoulombTanh)
+    stated: AbstractSlipFriction = eqx.field(default_factory=CoulombTanh)
     others: tuple[AbstractSlipFriction, ...] = ()
     choice: Scalar = _choice()
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("_") or name in ("own", "others", "choice"):
             raise AttributeError(name)
-        return getattr(self.own, name)
+        return getattr(self.stated, name)
 
     def _laws(self) -> tuple[AbstractSlipFriction, ...]:
-        coefficient = _coefficient(self.own)
-        return (self.own, *(_with(one, "mu_kinetic", coefficient) for one in self.others))
+        coefficient = _coefficient(self.stated)
+        return (self.stated, *(_with(one, "mu_kinetic", coefficient) for one in self.others))
 
     def coulomb(self):
-        return self.own.coulomb()
+        return self.stated.coulomb()
 
     def largest_slope(self, step):
-        slopes = [own.largest_slope(step) for own in self._laws()]
+        slopes = [law.largest_slope(step) for law in self._laws()]
         return jnp.max(jnp.stack([jnp.asarray(slope, float) for slope in slopes]))
 
     def coefficient(self, slip_speed):
-        return _chosen([own.coefficient(slip_speed) for own in self._laws()], self.choice)
+        return _chosen([law.coefficient(slip_speed) for law in self._laws()], self.choice)
 
 
 def _coefficient(law: Any) -> Any:
@@ -92,14 +92,14 @@ def _coefficient(law: Any) -> Any:
 
 
 def _with(law: Any, number: str, value: Any) -> Any:
-    return eqx.tree_at(lambda own: getattr(own, number), law, value)
+    return eqx.tree_at(lambda tree: getattr(tree, number), law, value)
 
 
 def _chosen(values: list[Any], choice: Any) -> Any:
-    found = values[0]
+    selected = values[0]
     for number, value in enumerate(values[1:], 1):
-        found = jnp.where(choice > number - 0.5, value, found)
-    return found
+        selected = jnp.where(choice > number - 0.5, value, selected)
+    return selected
 
 
 class Ensemble(NamedTuple):
@@ -116,36 +116,36 @@ def ensemble(mechanism: Mechanism, laws: Sequence[type] | None) -> Ensemble:
     jaxclear.friction; None: those that are usual; (): its own alone. A joint's own laws are always
     among them; one whose law is of another kind (no coefficient of restitution, friction that
     remembers or sticks) keeps it. Raises `ValueError` for what is no such law."""
-    wanted = (*DISSIPATIONS, *FRICTIONS) if laws is None else tuple(laws)
-    for kind in wanted:
-        known = isinstance(kind, type) and issubclass(
+    all_kinds = (*DISSIPATIONS, *FRICTIONS) if laws is None else tuple(laws)
+    for kind in all_kinds:
+        is_law = isinstance(kind, type) and issubclass(
             kind, (AbstractRestitutionFactor, AbstractSlipFriction)
         )
-        if not known:
+        if not is_law:
             raise ValueError(
                 f"laws of identify hold {described(kind)}; each must be a class of "
                 "jaxclear.contact.dissipation, such as Flores, or a friction law that is a "
                 "function of the speed, such as jaxclear.friction.CoulombTanh."
             )
-    losses = [kind for kind in wanted if issubclass(kind, AbstractRestitutionFactor)]
-    frictions = [kind for kind in wanted if issubclass(kind, AbstractSlipFriction)]
+    losses = [kind for kind in all_kinds if issubclass(kind, AbstractRestitutionFactor)]
+    frictions = [kind for kind in all_kinds if issubclass(kind, AbstractSlipFriction)]
     names: dict[str, tuple[str, ...]] = {}
-    found = mechanism
+    extended = mechanism
     for name in mechanism.topology.clearances:
-        joint = found.connections[name].joint
+        joint = extended.connections[name].joint
         mix = functools.partial(_mixed, losses=losses, frictions=frictions, names=names)
-        found = _with_joint(found, name, jax.tree.map(mix, joint, is_leaf=_is_law))
+        extended = _with_joint(extended, name, jax.tree.map(mix, joint, is_leaf=_is_law))
     kinds = {DISSIPATION: _dissipation_choices, FRICTION: _friction_choices}
     variables: dict[str, AbstractMechanismVariable] = {
         what: Variable(where, Discrete(deviations=tuple(map(float, range(len(names[what]))))))
         for what, where in kinds.items()
         if what in names
     }
-    return Ensemble(found, variables, {what: names[what] for what in variables})
+    return Ensemble(extended, variables, {what: names[what] for what in variables})
 
 
 def _with_joint(mechanism: Mechanism, name: str, joint: Any) -> Mechanism:
-    return eqx.tree_at(lambda own: own.connections[name].joint, mechanism, joint)
+    return eqx.tree_at(lambda tree: tree.connections[name].joint, mechanism, joint)
 
 
 def _is_law(part: Any) -> bool:
@@ -172,25 +172,25 @@ def _mixed(part: Any, losses: list, frictions: list, names: dict[str, tuple[str,
     return part
 
 
-def _others(own: Any, kinds: list) -> list:
+def _others(law: Any, kinds: list) -> list:
     """Those beside the own one; of the usual ones so many that there are as many with it."""
-    others = [kind for kind in kinds if kind is not type(own)]
+    others = [kind for kind in kinds if kind is not type(law)]
     usual = kinds in (list(DISSIPATIONS), list(FRICTIONS))
     return others[: len(kinds) - 1] if usual else others
 
 
-def _named(own: Any, kinds: list) -> tuple[str, ...]:
-    return tuple(kind.__name__ for kind in (type(own), *kinds))
+def _named(law: Any, kinds: list) -> tuple[str, ...]:
+    return tuple(kind.__name__ for kind in (type(law), *kinds))
 
 
 def _numbers(kind: type) -> set[str]:
     return {field.name for field in dataclasses.fields(kind)}
 
 
-def _friction(kind: type, own: Any) -> Any:
+def _friction(kind: type, law: Any) -> Any:
     """A law with the kinetic coefficient of another, and as steep where it says how steep."""
-    slope = float(own.largest_slope(0.0))
-    coefficient = float(own.mu_kinetic)
+    slope = float(law.largest_slope(0.0))
+    coefficient = float(law.mu_kinetic)
     if slope > 0 and coefficient > 0:
         speed = coefficient / slope
         if kind is CoulombTanh:

@@ -53,29 +53,29 @@ class Optimum(NamedTuple):
 
 
 @eqx.filter_jit
-def _solved(forward: Forward, starts: Array, measured: Array, scale: Array, seen: Array):
+def _solved(forward: Forward, starts: Array, measured: Array, scale: Array, mask: Array):
     inputs = forward.problem.inputs
 
     def residual(normal, _):
-        left = seen * (forward.row(inputs.values(normal)) - measured) / scale
-        return jnp.concatenate([left, normal])
+        difference = mask * (forward.row(inputs.values(normal)) - measured) / scale
+        return jnp.concatenate([difference, normal])
 
     def one(start):
         solver = optimistix.LevenbergMarquardt(TOLERANCE, TOLERANCE)
-        found = optimistix.least_squares(
+        solution = optimistix.least_squares(
             residual, solver, start, options={"jac": "fwd"}, max_steps=MOST_STEPS, throw=False
         )
-        return found.value, found.result == optimistix.RESULTS.successful
+        return solution.value, solution.result == optimistix.RESULTS.successful
 
     return jax.vmap(one)(starts)
 
 
 @eqx.filter_jit
-def _seen_at(forward: Forward, normals: Array, measured: Array):
+def _residuals_and_slopes(forward: Forward, normals: Array, measured: Array):
     inputs = forward.problem.inputs
-    own = lambda normal: forward.row(inputs.values(normal))
-    rows = jax.vmap(lambda normal: own(normal) - measured)(normals)
-    return rows, jax.vmap(jax.jacfwd(own))(normals)
+    row_of = lambda normal: forward.row(inputs.values(normal))
+    rows = jax.vmap(lambda normal: row_of(normal) - measured)(normals)
+    return rows, jax.vmap(jax.jacfwd(row_of))(normals)
 
 
 def starts_of(count: int, variables: int, seed: int) -> np.ndarray:
@@ -102,39 +102,39 @@ def optima(
     measured, normals = record.row, np.asarray(starts)
     ended = np.zeros(len(normals), bool)
     for window in range(windows):
-        seen = _window(record, 0.5 ** (windows - 1 - window))
-        found, ended = _solved(forward, *map(jnp.asarray, (normals, measured, scale, seen)))
-        normals = np.where(np.isfinite(found), found, normals)
+        mask = _window(record, 0.5 ** (windows - 1 - window))
+        solutions, ended = _solved(forward, *map(jnp.asarray, (normals, measured, scale, mask)))
+        normals = np.where(np.isfinite(solutions), solutions, normals)
     residuals, slopes = map(
-        np.asarray, _seen_at(forward, jnp.asarray(normals), jnp.asarray(measured))
+        np.asarray, _residuals_and_slopes(forward, jnp.asarray(normals), jnp.asarray(measured))
     )
     every = [
         _optimum(*each, scale)
         for each in zip(normals, residuals, slopes, np.asarray(ended), strict=True)
     ]
-    good = [own for own in every if np.isfinite(own.cost) and np.isfinite(own.slopes).all()]
-    kept: list[Optimum] = []
-    for own in sorted(good, key=lambda own: own.cost):
-        alike = lambda other, own=own: (
-            own.cost - other.cost <= SAME_COST * max(other.cost, 1.0)
-            and np.abs(own.normal - other.normal).max() <= SAME_PLACE
+    good = [fit for fit in every if np.isfinite(fit.cost) and np.isfinite(fit.slopes).all()]
+    distinct: list[Optimum] = []
+    for fit in sorted(good, key=lambda fit: fit.cost):
+        is_same = lambda other, fit=fit: (
+            fit.cost - other.cost <= SAME_COST * max(other.cost, 1.0)
+            and np.abs(fit.normal - other.normal).max() <= SAME_PLACE
         )
-        if not any(map(alike, kept)):
-            kept.append(own)
-    return kept
+        if not any(map(is_same, distinct)):
+            distinct.append(fit)
+    return distinct
 
 
 def _optimum(normal, residual, slopes, ended, scale) -> Optimum:
     cost = 0.5 * (np.sum((residual / scale) ** 2) + normal @ normal)
-    own = Optimum(normal, float(cost), residual, slopes, bool(ended))
+    optimum = Optimum(normal, float(cost), residual, slopes, bool(ended))
     if not np.isfinite(cost) or not np.isfinite(slopes).all():
-        return own._replace(converged=False)
+        return optimum._replace(converged=False)
     gradient = slopes.T @ (residual / scale**2) + normal
-    step = np.sqrt(gradient @ np.linalg.solve(own.information(scale), gradient))
-    return own._replace(converged=bool(ended or step <= LARGEST_STEP))
+    step = np.sqrt(gradient @ np.linalg.solve(optimum.information(scale), gradient))
+    return optimum._replace(converged=bool(ended or step <= LARGEST_STEP))
 
 
 def _window(record: Record, share: float) -> np.ndarray:
     """1 for the samples (n,) in the first `share` [1] of each signal, 0 for the others."""
-    own = [np.arange(len(s)) < np.ceil(share * len(s)) for s in record.signals.values()]
-    return np.concatenate(own).astype(float)
+    masks = [np.arange(len(s)) < np.ceil(share * len(s)) for s in record.signals.values()]
+    return np.concatenate(masks).astype(float)

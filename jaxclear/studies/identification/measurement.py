@@ -64,21 +64,21 @@ class Measurement(AbstractShown):
                 f"a Measurement has signals {listed(signals) or 'none'} and sensors "
                 f"{listed(sensors) or 'none'}; each signal needs its sensor, and there must be one."
             )
-        own = {name: _column(f'signal "{name}"', values) for name, values in signals.items()}
-        for name, values in own.items():
+        columns = {name: _column(f'signal "{name}"', values) for name, values in signals.items()}
+        for name, values in columns.items():
             if len(values) != len(at):
                 raise ValueError(
                     f'signal "{name}" has {len(values)} samples, and there are {len(at)} times.'
                 )
-            wanted = 'one of jaxclear.sensor, such as Accelerometer("slider", axis="x")'
-            expect(sensors[name], AbstractSensor, f'the sensor of signal "{name}"', wanted)
+            expected = 'one of jaxclear.sensor, such as Accelerometer("slider", axis="x")'
+            expect(sensors[name], AbstractSensor, f'the sensor of signal "{name}"', expected)
         even = np.linspace(at[0], at[-1], len(at))
         if np.max(np.abs(at - even)) > EVEN * (even[1] - even[0]):
-            own = {name: np.interp(even, at, values) for name, values in own.items()}
-        self.time, self.signals = even, own
-        self.sensors = {name: sensors[name] for name in own}
+            columns = {name: np.interp(even, at, values) for name, values in columns.items()}
+        self.time, self.signals = even, columns
+        self.sensors = {name: sensors[name] for name in columns}
         if isinstance(turn, str):
-            check_name("signal", turn, own, " of the Measurement to tell its turns")
+            check_name("signal", turn, columns, " of the Measurement to tell its turns")
             expect(sensors[turn], Encoder, f'the sensor of signal "{turn}"', "an Encoder")
         elif turn is not None:
             check_number("turn of a Measurement", turn, "s", above=0)
@@ -114,8 +114,8 @@ class Measurement(AbstractShown):
         """
         check_name("unit", time_unit, UNITS, " of time")
         at, *values = columns_of(path, (time, *signals))
-        own = dict(zip(signals, values, strict=True))
-        return cls(UNITS[time_unit] * at, own, signals, turn)
+        columns = dict(zip(signals, values, strict=True))
+        return cls(UNITS[time_unit] * at, columns, signals, turn)
 
     @property
     def rate(self) -> float:
@@ -130,10 +130,10 @@ class Measurement(AbstractShown):
     @property
     def compared(self) -> "Measurement":
         """The record without the signals that are inputs of the machine."""
-        given = [n for n, own in self.sensors.items() if isinstance(own, Series) and own.given]
-        if not given:
+        names = [n for n, s in self.sensors.items() if isinstance(s, Series) and s.given]
+        if not names:
             return self
-        signals = {name: own for name, own in self.signals.items() if name not in given}
+        signals = {name: values for name, values in self.signals.items() if name not in names}
         sensors = {n: self.sensors[n] for n in signals}
         return Measurement(self.time, signals, sensors, self.turn, cut_off=self.cut_off)
 
@@ -150,10 +150,10 @@ class Measurement(AbstractShown):
             The `Measurement`.
         """
         inside = (self.time >= begin) & (self.time <= end)
-        own = {name: values[inside] for name, values in self.signals.items()}
+        signals = {name: values[inside] for name, values in self.signals.items()}
         at = self.time[inside]
         cut_off = self.cut_off + float(self.time[-1] - at[-1]) if len(at) else 0.0
-        return Measurement(at, own, self.sensors, self.turn, cut_off=cut_off)
+        return Measurement(at, signals, self.sensors, self.turn, cut_off=cut_off)
 
     def _shown(self):
         rows = [
@@ -181,19 +181,19 @@ def checked_records(data: Any) -> list[Measurement]:
     return records
 
 
-def _column(what: str, given: Any) -> np.ndarray:
+def _column(what: str, values: Any) -> np.ndarray:
     """Finite numbers in a row."""
     try:
-        found = np.asarray(given, float)
+        array = np.asarray(values, float)
     except (TypeError, ValueError):
-        found = np.zeros((0, 0))
-    if found.ndim != 1:
-        raise ValueError(f"{what} is {described(given)}; it must be finite numbers in a row.")
-    holes = np.flatnonzero(~np.isfinite(found))
+        array = np.zeros((0, 0))
+    if array.ndim != 1:
+        raise ValueError(f"{what} is {described(values)}; it must be finite numbers in a row.")
+    holes = np.flatnonzero(~np.isfinite(array))
     if len(holes):
         raise ValueError(
-            f"{what} is {found[holes[0]]} at sample {holes[0] + 1} of {len(found)}, and not finite "
+            f"{what} is {array[holes[0]]} at sample {holes[0] + 1} of {len(array)}, and not finite "
             f"at {len(holes)} in all; it must be finite numbers in a row. Interpolate there, "
             "or cut the record off before."
         )
-    return found
+    return array

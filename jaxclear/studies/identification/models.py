@@ -15,7 +15,7 @@ from jaxtyping import Array
 from jaxclear.ground.arguments import check_name, expect
 from jaxclear.ground.wording import described, listed
 from jaxclear.studies.function_problem import Dimension, FunctionExperiment
-from jaxclear.studies.identification.forward import Forward, Record, Shown
+from jaxclear.studies.identification.forward import Forward, ModelOutput, Record
 from jaxclear.studies.identification.laws import Ensemble
 from jaxclear.studies.identification.measurement import Measurement
 from jaxclear.studies.identification.sample import (
@@ -27,7 +27,7 @@ from jaxclear.studies.identification.sample import (
 from jaxclear.studies.problem import Problem
 from jaxclear.studies.responses import answers
 from jaxclear.studies.run_experiment import RunExperiment
-from jaxclear.studies.sensor import AbstractSensor, Series, passed
+from jaxclear.studies.sensor import AbstractSensor, Series, filter_signal
 
 Model: TypeAlias = Problem | Callable[[Measurement], Problem]
 # The model that is asked about where there is only one.
@@ -35,25 +35,25 @@ ALONE = "the model"
 
 
 def models_of(
-    given: Model | Mapping[str, Model], records: Sequence[Measurement]
+    models: Model | Mapping[str, Model], records: Sequence[Measurement]
 ) -> dict[str, list[Problem]]:
     """By name of each model its problem for each record. Raises `ValueError` with a sentence for
     what is none."""
-    every = given if isinstance(given, Mapping) else {ALONE: given}
+    every = models if isinstance(models, Mapping) else {ALONE: models}
     if not every:
         raise ValueError("identify is given no model; it must have a problem at least.")
-    return {name: [_made(name, own, record) for record in records] for name, own in every.items()}
+    return {name: [_made(name, m, record) for record in records] for name, m in every.items()}
 
 
 def compared_records(
-    given: Model | Mapping[str, Model], records: Sequence[Measurement]
+    models: Model | Mapping[str, Model], records: Sequence[Measurement]
 ) -> list[Measurement]:
     """Records without what was given to the machine; those that problems were made for show what
     these do up to their end."""
-    every = given.values() if isinstance(given, Mapping) else [given]
-    made = any(not isinstance(own, Problem) for own in every)
-    found = [record.compared for record in records]
-    return [dataclasses.replace(own, cut_off=0.0) for own in found] if made else found
+    every = models.values() if isinstance(models, Mapping) else [models]
+    made = any(not isinstance(model, Problem) for model in every)
+    result = [record.compared for record in records]
+    return [dataclasses.replace(record, cut_off=0.0) for record in result] if made else result
 
 
 def only_one(models: Mapping[str, list[Problem]]) -> list[Any]:
@@ -66,9 +66,9 @@ def only_one(models: Mapping[str, list[Problem]]) -> list[Any]:
     return next(iter(models.values()))
 
 
-def check_only_signals(**given: Any) -> None:
+def check_only_signals(**arguments: Any) -> None:
     """Raises `ValueError` with a sentence for an argument that signals have no use for."""
-    for name, value in given.items():
+    for name, value in arguments.items():
         if value is not None:
             raise ValueError(
                 f'how="signal" takes no {name}, which are for how="statistics". For several laws '
@@ -78,24 +78,24 @@ def check_only_signals(**given: Any) -> None:
 
 def same_sensing(one: Measurement, other: Measurement) -> bool:
     """Whether the same sample serves two records."""
-    alike = one.sensors.keys() == other.sensors.keys() and one.rate == other.rate
-    alike = alike and len(one.time) == len(other.time) and one.turn == other.turn
-    alike = alike and one.cut_off == other.cut_off
-    return alike and all(
-        bool(eqx.tree_equal(own, other.sensors[name])) for name, own in one.sensors.items()
+    is_same = one.sensors.keys() == other.sensors.keys() and one.rate == other.rate
+    is_same = is_same and len(one.time) == len(other.time) and one.turn == other.turn
+    is_same = is_same and one.cut_off == other.cut_off
+    return is_same and all(
+        bool(eqx.tree_equal(sensor, other.sensors[name])) for name, sensor in one.sensors.items()
     )
 
 
-def _made(name: str, given: Any, record: Measurement) -> Problem:
-    found = given
-    if callable(given) and not isinstance(given, Problem):
-        found = given(record)
-    if not isinstance(getattr(found, "experiment", None), (RunExperiment, FunctionExperiment)):
+def _made(name: str, model: Any, record: Measurement) -> Problem:
+    value = model
+    if callable(model) and not isinstance(model, Problem):
+        value = model(record)
+    if not isinstance(getattr(value, "experiment", None), (RunExperiment, FunctionExperiment)):
         raise ValueError(
-            f"what is identified, {name}, is {described(found)}; it must be a jaxclear.Problem or "
+            f"what is identified, {name}, is {described(value)}; it must be a jaxclear.Problem or "
             "a jaxclear.FunctionProblem, or a function that makes one for a Measurement."
         )
-    return found
+    return value
 
 
 def compared(problem: Problem, record: Measurement) -> tuple[Forward, Record]:
@@ -113,7 +113,7 @@ def compared(problem: Problem, record: Measurement) -> tuple[Forward, Record]:
                 f'signal "{name}" has a sampling of its own; how="signal" takes signals as the '
                 'record has them: leave sampling out, or ask how="statistics".'
             )
-    noise = {name: float(own.noise) or None for name, own in record.sensors.items()}
+    noise = {name: float(sensor.noise) or None for name, sensor in record.sensors.items()}
     row = Record(record.signals, noise)
     return _forward(problem, record), row
 
@@ -135,8 +135,8 @@ def _forward(problem: Problem, record: Measurement) -> Forward:
     check_window(problem, record)
     end = window_end(problem, record)
     assert end is not None
-    asked = watched(problem, record, Ensemble(problem.mechanism, {}, {}))
-    return Forward(asked, _OfRun(sensors, rate, problem, slice(end - len(record.time), end)), names)
+    watch = watched(problem, record, Ensemble(problem.mechanism, {}, {}))
+    return Forward(watch, _OfRun(sensors, rate, problem, slice(end - len(record.time), end)), names)
 
 
 class _OfFunction(eqx.Module):
@@ -145,28 +145,28 @@ class _OfFunction(eqx.Module):
     sensors: dict[str, Any]
     rate: Array
 
-    def __call__(self, asked: Problem, values: Array) -> Shown:
+    def __call__(self, problem: Problem, values: Array) -> ModelOutput:
         """Those of one set of values."""
-        found = asked.answers(asked.setting(values))
-        signals = {n: _sensed(own, found, self.rate) for n, own in self.sensors.items()}
-        return Shown(signals, {name: found[name] for name in asked.response_names})
+        outputs = problem.answers(problem.setting(values))
+        signals = {n: _sensed(sensor, outputs, self.rate) for n, sensor in self.sensors.items()}
+        return ModelOutput(signals, {name: outputs[name] for name in problem.response_names})
 
 
 class _OfRun(eqx.Module):
-    """Signals and responses of a run, of which a record saw the samples `shown`."""
+    """Signals and responses of a run, of which a record saw the samples `window`."""
 
     sensors: dict[str, AbstractSensor]
     rate: Array
     problem: Problem
-    shown: slice = eqx.field(static=True)
+    window: slice = eqx.field(static=True)
 
-    def __call__(self, asked: Problem, values: Array) -> Shown:
+    def __call__(self, problem: Problem, values: Array) -> ModelOutput:
         """Those of one set of values; nan where the run did not reach its end."""
-        run = asked.started(asked.setting(values))[2]
-        last = lambda signal: jnp.where(run.succeeded, signal, jnp.nan)[self.shown]
-        signals = {n: last(_sensed(own, run, self.rate)) for n, own in self.sensors.items()}
-        return Shown(signals, answers(self.problem.response, run))
+        run = problem.started(problem.setting(values))[2]
+        last = lambda signal: jnp.where(run.succeeded, signal, jnp.nan)[self.window]
+        signals = {n: last(_sensed(sensor, run, self.rate)) for n, sensor in self.sensors.items()}
+        return ModelOutput(signals, answers(self.problem.response, run))
 
 
 def _sensed(sensor: Any, run: Any, rate: Array) -> Array:
-    return passed(sensor(run), rate, sensor.bandwidth, sensor.delay, sensor.gain)
+    return filter_signal(sensor(run), rate, sensor.bandwidth, sensor.delay, sensor.gain)

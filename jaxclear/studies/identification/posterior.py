@@ -45,24 +45,24 @@ class Proposal(NamedTuple):
         """Logarithm of the density (draws,)."""
         count = normal.shape[1]
         prior = -0.5 * np.sum(normal**2, axis=1) - 0.5 * count * np.log(2 * np.pi)
-        own = [
+        densities = [
             np.log((1 - FROM_PRIOR) * share)
             + scipy.stats.multivariate_t.logpdf(normal, centre, matrix, FREEDOM).reshape(-1)
             for centre, matrix, share in zip(*self, strict=True)
         ]
-        return scipy.special.logsumexp([np.log(FROM_PRIOR) + prior, *own], axis=0)
+        return scipy.special.logsumexp([np.log(FROM_PRIOR) + prior, *densities], axis=0)
 
     def draw(self, count: int, rng: np.random.Generator) -> np.ndarray:
         """Draws (count, variables)."""
         variables = self.centres.shape[1]
         weights = np.concatenate([[FROM_PRIOR], (1 - FROM_PRIOR) * self.shares])
         sizes = rng.multinomial(count, weights / weights.sum())
-        found = [rng.standard_normal((sizes[0], variables))]
+        points = [rng.standard_normal((sizes[0], variables))]
         for size, centre, matrix in zip(sizes[1:], self.centres, self.matrices, strict=True):
             root = np.linalg.cholesky(matrix)
             scale = np.sqrt(FREEDOM / rng.chisquare(FREEDOM, (size, 1)))
-            found.append(centre + scale * rng.standard_normal((size, variables)) @ root.T)
-        return np.concatenate(found)
+            points.append(centre + scale * rng.standard_normal((size, variables)) @ root.T)
+        return np.concatenate(points)
 
 
 class Draws(NamedTuple):
@@ -73,7 +73,7 @@ class Draws(NamedTuple):
     normal: np.ndarray
     weights: np.ndarray
     prior_weights: np.ndarray
-    beside: Any
+    extras: Any
 
     @property
     def effective(self) -> float:
@@ -96,22 +96,22 @@ def importance_sampled(
     proposal = Proposal(np.array(centres), WIDER * np.array(matrices), np.full(count, 1 / count))
     used: list[Proposal] = []
     normal = np.zeros((0, len(centres[0])))
-    density, beside = np.zeros(0), []
+    density, extras = np.zeros(0), []
     for number in range(MOST_ROUNDS):
-        own = proposal.draw(draws, rng)
-        told, more = target(own)
+        points = proposal.draw(draws, rng)
+        point_density, more = target(points)
         used.append(proposal)
-        normal, density = np.concatenate([normal, own]), np.concatenate([density, told])
-        beside.append(more)
+        normal, density = np.concatenate([normal, points]), np.concatenate([density, point_density])
+        extras.append(more)
         mixed = scipy.special.logsumexp([p.density(normal) for p in used], axis=0)
         prior = -0.5 * np.sum(normal**2, axis=1)
         weights = _normalised(density - mixed), _normalised(prior - mixed)
-        found = Draws(normal, *weights, np.concatenate(beside))
+        result = Draws(normal, *weights, np.concatenate(extras))
         # What the first round draws from knows only what is near the optima.
-        if number + 1 >= LEAST_ROUNDS and found.effective >= ENOUGH:
+        if number + 1 >= LEAST_ROUNDS and result.effective >= ENOUGH:
             break
-        proposal = _adapted(found)
-    return found
+        proposal = _adapted(result)
+    return result
 
 
 def _normalised(logarithms: np.ndarray) -> np.ndarray:
@@ -122,12 +122,12 @@ def _normalised(logarithms: np.ndarray) -> np.ndarray:
     return weights / weights.sum()
 
 
-def _adapted(found: Draws) -> Proposal:
+def _adapted(draws: Draws) -> Proposal:
     """Places and matrices that fit the draws: one for all, and one about the likeliest."""
-    mean = found.weights @ found.normal
-    apart = found.normal - mean
-    matrix = apart.T @ (found.weights[:, None] * apart) + 1e-8 * np.eye(len(mean))
-    best = found.normal[np.argmax(found.weights)]
+    mean = draws.weights @ draws.normal
+    deviations = draws.normal - mean
+    matrix = deviations.T @ (draws.weights[:, None] * deviations) + 1e-8 * np.eye(len(mean))
+    best = draws.normal[np.argmax(draws.weights)]
     return Proposal(np.array([mean, best]), np.array([matrix, matrix / 4]), np.array([0.7, 0.3]))
 
 
@@ -141,8 +141,8 @@ def weighted_quantile(values: np.ndarray, weights: np.ndarray, share: float) -> 
 def equally_weighted(weights: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
     """Places (count,) of draws that follow the weights, each as often as it has weight."""
     steps = (rng.random() + np.arange(count)) / count
-    found = np.searchsorted(np.cumsum(weights), steps)
-    return rng.permutation(np.minimum(found, len(weights) - 1))
+    indices = np.searchsorted(np.cumsum(weights), steps)
+    return rng.permutation(np.minimum(indices, len(weights) - 1))
 
 
 def shortest_interval(
@@ -151,20 +151,20 @@ def shortest_interval(
     """The shortest interval of the prior's shares (draws,) [1] that holds `content` [1] of the
     weight: where little speaks against an end of the prior, it reaches that end."""
     order = np.argsort(shares)
-    own, reached = shares[order], np.cumsum(weights[order])
+    ordered, reached = shares[order], np.cumsum(weights[order])
     before = reached - weights[order]
     last = np.searchsorted(reached, before + content - 1e-12)
-    first = np.flatnonzero(last < len(own))
-    length = own[last[first]] - own[first]
+    first = np.flatnonzero(last < len(ordered))
+    length = ordered[last[first]] - ordered[first]
     start = first[np.argmin(length)]
     end = last[start]
-    low, high = float(own[start]), float(own[end])
+    low, high = float(ordered[start]), float(ordered[end])
     edges = np.linspace(low, high, PARTS + 1)
     step = edges[1] - edges[0]
-    most = np.histogram(own, edges, weights=weights[order])[0].max()
-    at_end = weights[order][own <= step].sum(), weights[order][own >= 1.0 - step].sum()
+    most = np.histogram(ordered, edges, weights=weights[order])[0].max()
+    at_end = weights[order][ordered <= step].sum(), weights[order][ordered >= 1.0 - step].sum()
     low, high = (
-        limit if found >= AT_END * most else known
-        for limit, found, known in zip((0.0, 1.0), at_end, (low, high), strict=True)
+        limit if share_at_end >= AT_END * most else end
+        for limit, share_at_end, end in zip((0.0, 1.0), at_end, (low, high), strict=True)
     )
     return low, high

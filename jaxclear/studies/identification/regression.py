@@ -57,10 +57,10 @@ def whitened(statistics: np.ndarray) -> Whitened:
     spread = np.where(spread > 1e-12 * (np.abs(mean) + 1e-300), spread, np.inf)
     scaled = (statistics - mean) / spread
     variances, axes = np.linalg.eigh(np.atleast_2d(np.cov(scaled.T)))
-    kept = variances > LEAST_VARIANCE * max(variances.max(), 1e-300)
-    if not kept.any():
+    mask = variances > LEAST_VARIANCE * max(variances.max(), 1e-300)
+    if not mask.any():
         return Whitened(mean, spread, np.zeros((len(mean), 1)))
-    variances, axes = variances[kept], axes[:, kept]
+    variances, axes = variances[mask], axes[:, mask]
     # Parts below the middle are noise for the most: they keep a lesser weight.
     weight = np.minimum(1.0, np.sqrt(variances / np.median(variances)))
     return Whitened(mean, spread, axes / np.sqrt(variances) * weight)
@@ -68,26 +68,27 @@ def whitened(statistics: np.ndarray) -> Whitened:
 
 class Surface(NamedTuple):
     """The regression of one unknown: `length` of the kernel, `weights` (runs,), `mean`, the
-    `left_out` estimates (runs,) of each run that it did not see, and their `residuals` (runs,)."""
+    `predictions` (runs,) of each run without that run, and their `residuals`
+    (runs,)."""
 
     length: float
     weights: np.ndarray
     mean: float
-    left_out: np.ndarray
+    predictions: np.ndarray
     residuals: np.ndarray
 
     def spread(self, estimate: float, but: int | None = None) -> float:
         """Root mean square of the residuals of the runs nearest by estimate, one left out."""
-        apart = np.abs(self.left_out - estimate)
+        errors = np.abs(self.predictions - estimate)
         if but is not None:
-            apart[but] = np.inf
-        count = min(max(LEAST_NEAREST, int(NEAREST_SHARE * len(apart))), len(apart) - 1)
-        near = np.argpartition(apart, count - 1)[:count]
+            errors[but] = np.inf
+        count = min(max(LEAST_NEAREST, int(NEAREST_SHARE * len(errors))), len(errors) - 1)
+        near = np.argpartition(errors, count - 1)[:count]
         return float(np.sqrt(np.mean(self.residuals[near] ** 2)))
 
     def spreads(self) -> np.ndarray:
         """That of the others about each run (runs,)."""
-        return np.array([self.spread(own, i) for i, own in enumerate(self.left_out)])
+        return np.array([self.spread(row, i) for i, row in enumerate(self.predictions)])
 
 
 class Fold(NamedTuple):
@@ -114,7 +115,7 @@ class Regression(NamedTuple):
     @property
     def residuals(self) -> np.ndarray:
         """What is missed of each run that is left out (runs, unknowns)."""
-        return np.stack([own.residuals for own in self.surfaces], axis=1)
+        return np.stack([surface.residuals for surface in self.surfaces], axis=1)
 
     @property
     def scatter(self) -> np.ndarray:
@@ -124,24 +125,24 @@ class Regression(NamedTuple):
     def estimates(self, statistics: np.ndarray) -> np.ndarray:
         """Estimates (records, unknowns) for statistics (records, statistics)."""
         parts = self.whiten(np.atleast_2d(statistics))
-        found = [
-            own.mean + _kernel(parts, self.parts, own.length) @ own.weights for own in self.surfaces
+        estimates = [
+            s.mean + _kernel(parts, self.parts, s.length) @ s.weights for s in self.surfaces
         ]
-        return np.stack(found, axis=1)
+        return np.stack(estimates, axis=1)
 
     def missed(self, estimates: np.ndarray) -> np.ndarray:
         """What estimates (unknowns,) may miss: the residuals (runs, unknowns) of all runs, as wide
         as they are about there."""
         pairs = zip(self.surfaces, estimates, strict=True)
-        return self.relative * np.array([own.spread(at) for own, at in pairs])
+        return self.relative * np.array([surface.spread(at) for surface, at in pairs])
 
     def distance(self, statistics: np.ndarray) -> float:
         """The share [1] of the sample's runs that lie further from the others than these statistics
         (statistics,): near 0 where no run is like them."""
         # Of more statistics than runs principal parts know the runs that they are made of.
         further = sum(
-            int(np.sum(own.distances >= _nearness(own.whiten(statistics[None]), own.parts)[0]))
-            for own in self.folds
+            int(np.sum(fold.distances >= _nearness(fold.whiten(statistics[None]), fold.parts)[0]))
+            for fold in self.folds
         )
         return float((1 + further) / (len(self.parts) + 1))
 
@@ -155,25 +156,25 @@ def regression(
     whiten = whitened(statistics)
     parts = whiten(statistics)
     surfaces = _surfaces(parts, unknowns, LENGTHS, groups)
-    relative = np.stack([own.residuals / np.maximum(own.spreads(), TINY) for own in surfaces], 1)
+    relative = np.stack([s.residuals / np.maximum(s.spreads(), TINY) for s in surfaces], 1)
     return Regression(whiten, parts, unknowns, surfaces, relative, _folds(statistics))
 
 
 def _folds(statistics: np.ndarray) -> tuple[Fold, ...]:
-    found = []
+    folds = []
     for number in range(FOLDS):
-        own = np.arange(len(statistics)) % FOLDS == number
-        whiten = whitened(statistics[~own])
-        parts = whiten(statistics[~own])
-        found.append(Fold(whiten, parts, _nearness(whiten(statistics[own]), parts)))
-    return tuple(found)
+        mask = np.arange(len(statistics)) % FOLDS == number
+        whiten = whitened(statistics[~mask])
+        parts = whiten(statistics[~mask])
+        folds.append(Fold(whiten, parts, _nearness(whiten(statistics[mask]), parts)))
+    return tuple(folds)
 
 
-def told_alone(statistics: np.ndarray, unknowns: np.ndarray) -> np.ndarray:
+def residuals_alone(statistics: np.ndarray, unknowns: np.ndarray) -> np.ndarray:
     """Root mean square (unknowns,) of what some statistics alone miss of runs that are left out,
     beside the prior's deviation [1]."""
     surfaces = _surfaces(whitened(statistics)(statistics), unknowns, ONE_LENGTH)
-    return np.array([np.sqrt(12 * np.mean(own.residuals**2)) for own in surfaces])
+    return np.array([np.sqrt(12 * np.mean(surface.residuals**2)) for surface in surfaces])
 
 
 def _surfaces(
@@ -187,47 +188,47 @@ def _surfaces(
     best: list[tuple[float, Surface] | None] = [None] * unknowns.shape[1]
     for length in lengths:
         values, vectors = np.linalg.eigh(_kernel(parts, parts, length))
-        turned = vectors.T @ (unknowns - means)
+        rotated = vectors.T @ (unknowns - means)
         for ridge in RIDGES:
             inverse = 1 / (np.maximum(values, 0) + ridge)
-            weights = vectors @ (inverse[:, None] * turned)
-            residuals = _left_out(vectors, inverse, weights, groups)
+            weights = vectors @ (inverse[:, None] * rotated)
+            residuals = _leave_out_residuals(vectors, inverse, weights, groups)
             for k, missed in enumerate(np.mean(residuals**2, axis=0)):
-                known = best[k]
-                if known is None or missed < known[0]:
-                    own = residuals[:, k]
-                    left_out = unknowns[:, k] - own
-                    found = Surface(length, weights[:, k], float(means[k]), left_out, own)
-                    best[k] = float(missed), found
-    return tuple(own[1] for own in best if own is not None)
+                best_surface = best[k]
+                if best_surface is None or missed < best_surface[0]:
+                    residual = residuals[:, k]
+                    predicted = unknowns[:, k] - residual
+                    surface = Surface(length, weights[:, k], float(means[k]), predicted, residual)
+                    best[k] = float(missed), surface
+    return tuple(entry[1] for entry in best if entry is not None)
 
 
-def _left_out(
+def _leave_out_residuals(
     vectors: np.ndarray, inverse: np.ndarray, weights: np.ndarray, groups: np.ndarray | None
 ) -> np.ndarray:
     """Residuals (runs, unknowns) of runs that a ridge regression does not see, from that of all:
     its inverse is `vectors` times the diagonal `inverse` times these."""
     if groups is None:
         return weights / (vectors**2 @ inverse)[:, None]
-    found = np.empty_like(weights)
+    result = np.empty_like(weights)
     for group in np.unique(groups):
-        own = np.flatnonzero(groups == group)
-        block = (vectors[own] * inverse) @ vectors[own].T
-        found[own] = np.linalg.solve(block, weights[own])
-    return found
+        members = np.flatnonzero(groups == group)
+        block = (vectors[members] * inverse) @ vectors[members].T
+        result[members] = np.linalg.solve(block, weights[members])
+    return result
 
 
 def _kernel(one: np.ndarray, other: np.ndarray, length: float) -> np.ndarray:
     count = one.shape[1]
     inner = one @ other.T
-    apart = np.sum(one**2, axis=1)[:, None] + np.sum(other**2, axis=1) - 2 * inner
-    return np.exp(-apart / (2 * count * length**2)) + LINE * inner / count
+    squares = np.sum(one**2, axis=1)[:, None] + np.sum(other**2, axis=1) - 2 * inner
+    return np.exp(-squares / (2 * count * length**2)) + LINE * inner / count
 
 
 def _nearness(one: np.ndarray, other: np.ndarray) -> np.ndarray:
     """Mean distance of rows from their nearest neighbours."""
-    apart = np.sum(one**2, axis=1)[:, None] + np.sum(other**2, axis=1) - 2 * one @ other.T
-    nearest = np.sort(np.sqrt(np.maximum(apart, 0)), axis=1)
+    squares = np.sum(one**2, axis=1)[:, None] + np.sum(other**2, axis=1) - 2 * one @ other.T
+    nearest = np.sort(np.sqrt(np.maximum(squares, 0)), axis=1)
     return nearest[:, :NEIGHBOURS].mean(1)
 
 
@@ -240,7 +241,7 @@ def conformal(residuals: np.ndarray, level: float = 0.95) -> tuple[float, float]
     return float(ranked[count - above]), float(ranked[above - 1])
 
 
-class Told(NamedTuple):
+class Prediction(NamedTuple):
     """An unknown of one record, as shares of its prior [1]: `estimate`, `low` and `high` ends of
     its interval, and the `sample` of what it may be."""
 
@@ -250,24 +251,24 @@ class Told(NamedTuple):
     sample: np.ndarray
 
 
-def told(fitted: Regression, statistics: np.ndarray, level: float = 0.95) -> list[Told]:
+def predict(fitted: Regression, statistics: np.ndarray, level: float = 0.95) -> list[Prediction]:
     """What the statistics (statistics,) of a record say of each unknown."""
     # One beyond an end of the prior stands at the end, with an interval of its usual width.
     estimates = np.clip(fitted.estimates(statistics)[0], 0.0, 1.0)
-    found = []
+    intervals = []
     for estimate, missed in zip(estimates, fitted.missed(estimates).T, strict=True):
         low, high = conformal(missed, level)
         within = lambda share: float(np.clip(share, 0.0, 1.0))
         ends = within(estimate), within(estimate + low), within(estimate + high)
-        found.append(Told(*ends, np.clip(estimate + missed, 0.0, 1.0)))
-    return found
+        intervals.append(Prediction(*ends, np.clip(estimate + missed, 0.0, 1.0)))
+    return intervals
 
 
 def calibration(fitted: Regression, level: float = 0.95) -> np.ndarray:
     """Whether the interval of each run, left out, holds its unknowns (runs, unknowns)."""
-    held = np.zeros(fitted.relative.shape, bool)
-    for k, own in enumerate(fitted.relative.T):
-        for i, missed in enumerate(own):
-            low, high = conformal(np.delete(own, i), level)
-            held[i, k] = low <= missed <= high
-    return held
+    is_covered = np.zeros(fitted.relative.shape, bool)
+    for k, column in enumerate(fitted.relative.T):
+        for i, missed in enumerate(column):
+            low, high = conformal(np.delete(column, i), level)
+            is_covered[i, k] = low <= missed <= high
+    return is_covered

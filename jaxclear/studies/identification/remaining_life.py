@@ -47,8 +47,8 @@ class RemainingLife(AbstractAnswer):
         half = 0.5 * (1.0 - self.level)
         shares = (0.5, half, 1.0 - half)
         # The ends themselves, and not what is between: some lines never reach the limit.
-        found = np.quantile(what, shares, method="inverted_cdf")
-        return float(found[0]), float(found[1]), float(found[2])
+        ends = np.quantile(what, shares, method="inverted_cdf")
+        return float(ends[0]), float(ends[1]), float(ends[2])
 
     @property
     def failure_band(self) -> tuple[float, float, float]:
@@ -63,15 +63,15 @@ class RemainingLife(AbstractAnswer):
 
     def sentence(self) -> str:
         """Growth, cycle of failure and what is left, in words."""
-        words = lambda told: [f"{x:.3g}" if np.isfinite(x) else "no end" for x in told]
+        words = lambda values: [f"{x:.3g}" if np.isfinite(x) else "no end" for x in values]
         share = f"{100 * self.level:g} %"
         rate, low, high = words(self.band(self.rate))
         ends, first, last = words(self.failure_band)
-        left = words(self.left)
+        life = words(self.left)
         return (
             f"{self.name} grows by {rate} {self.unit} a cycle, {low} to {high} with {share}, and "
             f"reaches {self.limit:.4g} {self.unit} after {ends} cycles, {first} to "
-            f"{last}: {left[1]} to {left[2]} are left after the last of {len(self.cycles)} records."
+            f"{last}: {life[1]} to {life[2]} are left after the last of {len(self.cycles)} records."
         )
 
     def _stated(self):
@@ -114,35 +114,35 @@ def remaining_life(
             f"remaining_life is given {len(found)} records; growth takes two at least, at "
             "different cycles."
         )
-    for cycles, own in found.items():
+    for cycles, answers in found.items():
         check_number("cycles of remaining_life", cycles, at_least=0)
-        expect(own, Identified, "what a record told", "what jaxclear.identify returns")
+        expect(answers, Identified, "what a record told", "what jaxclear.identify returns")
     check_number("limit of remaining_life", limit)
     check_number("level of remaining_life", level, above=0, below=1)
     order = sorted(found)
-    told = [found[cycles][name] for cycles in order]
-    values = np.array([own.estimate for own in told])
+    rows = [found[cycles][name] for cycles in order]
+    values = np.array([unknown.estimate for unknown in rows])
     deviations = np.array([_deviation(found[cycles], name) for cycles in order])
-    rate, failure, left = _lines(np.array(order, float), values, deviations, limit, seed)
+    rate, failure, misfit = _lines(np.array(order, float), values, deviations, limit, seed)
     warnings = []
     chi2 = float(scipy.stats.chi2.isf(DOUBTED, max(len(order) - 2, 1)))
-    if len(order) > 2 and left > chi2:
+    if len(order) > 2 and misfit > chi2:
         warnings.append(
             f"{name} does not grow along a straight line: the squares of what is left of it are "
-            f"{left:.3g} beside their intervals', where {chi2:.3g} is the most; the band does not "
-            "hold a growth that speeds up."
+            f"{misfit:.3g} beside their intervals', where {chi2:.3g} is the most; the band does "
+            "not hold a growth that speeds up."
         )
-    if not all(own.verdict == "identified" for own in told):
+    if not all(unknown.verdict == "identified" for unknown in rows):
         warnings.append(f"{name} is not identified by every record: the prior decides, too.")
-    known = (np.array(order, float), values, deviations, rate, failure)
-    return RemainingLife(name, told[0].unit, float(limit), float(level), *known, tuple(warnings))
+    fields = (np.array(order, float), values, deviations, rate, failure)
+    return RemainingLife(name, rows[0].unit, float(limit), float(level), *fields, tuple(warnings))
 
 
-def _deviation(found: Identified, name: str) -> float:
-    if name in found.problem.names:
-        own = found.posterior_values[:, found.problem.names.index(name)]
-        return float(own.std())
-    row: Any = found[name]
+def _deviation(identified: Identified, name: str) -> float:
+    if name in identified.problem.names:
+        samples = identified.posterior_values[:, identified.problem.names.index(name)]
+        return float(samples.std())
+    row: Any = identified[name]
     return (row.high - row.low) / 3.92
 
 
@@ -156,7 +156,7 @@ def _lines(
     weighted = design / deviations[:, None]
     covariance = np.linalg.inv(weighted.T @ weighted)
     best = covariance @ weighted.T @ (values / deviations)
-    left = float(np.sum(((values - design @ best) / deviations) ** 2))
+    misfit = float(np.sum(((values - design @ best) / deviations) ** 2))
     rng = np.random.default_rng(seed)
     drawn = rng.multivariate_normal(best, covariance, DRAWS)
     rising = drawn[:, 1] > 0
@@ -164,4 +164,4 @@ def _lines(
     slope = drawn[:, 1] / length
     with np.errstate(over="ignore"):
         failure = middle + (limit - drawn[:, 0]) / slope
-    return slope, np.maximum(failure, 0.0), left
+    return slope, np.maximum(failure, 0.0), misfit

@@ -68,7 +68,7 @@ class Unknown(NamedTuple):
         return f"{self.name} is {self.estimate:.4g}{unit}, {ends} with 95 %{also}."
 
 
-def unknown_of(problem: Problem, name: str, shares: Any, told_by: str = "") -> Unknown:
+def unknown_of(problem: Problem, name: str, shares: Any, method: str = "") -> Unknown:
     """What is known of an unknown whose interval is `shares`, (estimate, low, high) of its prior
     [1]. An interval wider than 0.8 of the prior's is the prior's."""
     values = prior_quantiles(problem, name, np.array([*shares, *NOTHING]))
@@ -81,7 +81,7 @@ def unknown_of(problem: Problem, name: str, shares: Any, told_by: str = "") -> U
         verdict = PARTLY
     unit = problem.variable_units[problem.names.index(name)]
     ends = low, high, prior_low, prior_high
-    return Unknown(name, unit, estimate, *ends, width, verdict, told_by)
+    return Unknown(name, unit, estimate, *ends, width, verdict, method)
 
 
 def verdict_of(width: float) -> str:
@@ -94,29 +94,27 @@ def end_reached(problem: Problem, name: str, low: float, high: float, prior: flo
     well; None where it ends at neither. `prior`: width of the prior's interval."""
     ends = prior_quantiles(problem, name, np.array([0.0, 1.0]))
     pairs = zip(ends, (low, high), strict=True)
-    return next((float(end) for end, own in pairs if abs(end - own) < AT_END * prior), None)
+    return next((float(end) for end, bound in pairs if abs(end - bound) < AT_END * prior), None)
 
 
 def ends_in_words(problem: Problem, unknowns: Sequence[Unknown]) -> list[str]:
     """Which intervals end where the prior does, and not by what the record says."""
-    said = []
-    for own in unknowns:
-        prior = own.prior_high - own.prior_low
-        end = end_reached(problem, own.name, own.low, own.high, prior)
-        if own.verdict != NOT and end is not None:
-            said.append(
-                f'The interval of "{own.name}" ends where its distribution does, at {end:.4g}: it '
+    texts = []
+    for row in unknowns:
+        prior = row.prior_high - row.prior_low
+        end = end_reached(problem, row.name, row.low, row.high, prior)
+        if row.verdict != NOT and end is not None:
+            texts.append(
+                f'The interval of "{row.name}" ends where its distribution does, at {end:.4g}: it '
                 "may lie beyond."
             )
-    return said
+    return texts
 
 
 def unexplained(unknowns: Sequence[Unknown]) -> tuple[Unknown, ...]:
     """The same beside a record that no law of the sample explains: no interval is that of the
     machine."""
-    return tuple(
-        own if own.verdict == NOT else own._replace(verdict=UNEXPLAINED) for own in unknowns
-    )
+    return tuple(u if u.verdict == NOT else u._replace(verdict=UNEXPLAINED) for u in unknowns)
 
 
 def prior_quantiles(problem: Problem, name: str, shares: np.ndarray) -> np.ndarray:
@@ -129,11 +127,11 @@ def prior_quantiles(problem: Problem, name: str, shares: np.ndarray) -> np.ndarr
 def prior_shares(problem: Problem, values: np.ndarray) -> np.ndarray:
     """Values (runs, variables) as shares of their priors."""
     nominal = np.asarray(problem.nominal())
-    found = [
-        scipy.special.ndtr(np.asarray(problem.marginals[name].score(jnp.asarray(own))))
-        for name, own in zip(problem.names, (values - nominal).T, strict=True)
+    shares = [
+        scipy.special.ndtr(np.asarray(problem.marginals[name].score(column)))
+        for name, column in zip(problem.names, (values - nominal).T, strict=True)
     ]
-    return np.stack(found, axis=1)
+    return np.stack(shares, axis=1)
 
 
 class Evidence(NamedTuple):
@@ -145,7 +143,7 @@ class Evidence(NamedTuple):
     kinds: dict[str, tuple[np.ndarray, np.ndarray]]
     shares: np.ndarray
 
-    def held(self) -> np.ndarray:
+    def coverage(self) -> np.ndarray:
         """Whether the interval of each run of the sample, left out, holds its unknowns."""
         return calibration(self.fitted, LEVEL)
 
@@ -175,9 +173,9 @@ class Identified(AbstractAnswer):
 
     def __getitem__(self, name: str) -> Unknown:
         """What is known of one unknown, or of a response that follows."""
-        known = {own.name: own for own in (*self.unknowns, *self.answers)}
-        check_name("unknown", name, known, " of this identification")
-        return known[name]
+        by_name = {quantity.name: quantity for quantity in (*self.unknowns, *self.answers)}
+        check_name("unknown", name, by_name, " of this identification")
+        return by_name[name]
 
     @property
     def explains(self) -> bool | None:
@@ -194,7 +192,7 @@ class Identified(AbstractAnswer):
         it: 0.95 is promised. Empty where no sample was regressed on."""
         if self.evidence is None:
             return {}
-        return dict(zip(self.problem.names, self.evidence.held().mean(0).tolist(), strict=True))
+        return dict(zip(self.problem.names, self.evidence.coverage().mean(0).tolist(), strict=True))
 
     def posterior(self, duration: float | None = None) -> Problem:
         """The problem whose variables follow what the record leaves of their priors, with the
@@ -204,15 +202,15 @@ class Identified(AbstractAnswer):
 
     def sentence(self) -> str:
         """Each unknown in words, and what else is to be known of the answer."""
-        told = [own.sentence() for own in (*self.unknowns, *self.answers)]
-        lost = f" {self.failed} more failed." if self.failed else ""
-        told.append(f"From {self.runs} runs, {self.how}.{lost}")
-        return " ".join([*told, *self.remarks])
+        sentences = [quantity.sentence() for quantity in (*self.unknowns, *self.answers)]
+        failures = f" {self.failed} more failed." if self.failed else ""
+        sentences.append(f"From {self.runs} runs, {self.how}.{failures}")
+        return " ".join([*sentences, *self.remarks])
 
     def _stated(self):
         over = ("unknown",)
         read = lambda part: {
-            own.name: getattr(own, part) for own in (*self.unknowns, *self.answers)
+            row.name: getattr(row, part) for row in (*self.unknowns, *self.answers)
         }
         columns = {
             "unit": Column(over, read("unit")),
@@ -227,8 +225,10 @@ class Identified(AbstractAnswer):
         }
         for i, name in enumerate(self.problem.names):
             unit = self.problem.variable_units[i]
-            own = self.posterior_values[:, i]
-            columns[f"posterior {name}"] = Column(("draw",), own, unit, kind=VARIABLE, only=DATASET)
+            values = self.posterior_values[:, i]
+            columns[f"posterior {name}"] = Column(
+                ("draw",), values, unit, kind=VARIABLE, only=DATASET
+            )
         return Stated("identification", columns, self.problem, self.warned)
 
     @property
@@ -253,21 +253,21 @@ def posterior_of(problem: Problem, values: np.ndarray, duration: float | None = 
     middle = np.median(values, axis=0)
     correlation = score_correlation(values)
     ends = np.stack([prior_quantiles(problem, n, np.array([0.0, 1.0])) for n in problem.names])
-    nominal, known, moved = np.asarray(problem.nominal()), {}, []
+    nominal, variables, moved = np.asarray(problem.nominal()), {}, []
     varied = [problem.variables[name] for name in problem.names]
-    for i, (name, own) in enumerate(zip(problem.names, varied, strict=True)):
+    for i, (name, variable) in enumerate(zip(problem.names, varied, strict=True)):
         # What is no number of the mechanism keeps its nominal value.
-        centre = middle[i] if isinstance(own, (Variable, Dimension)) else nominal[i]
+        centre = middle[i] if isinstance(variable, (Variable, Dimension)) else nominal[i]
         moved.append(centre)
         shape = Empirical(values[:, i] - centre, low=ends[i, 0] - centre, high=ends[i, 1] - centre)
-        known[name] = eqx.tree_at(lambda variable: variable.distribution, own, shape)
-        if isinstance(own, Dimension):
-            known[name] = Dimension(float(centre), shape, unit=own.unit)
+        variables[name] = eqx.tree_at(lambda variable: variable.distribution, variable, shape)
+        if isinstance(variable, Dimension):
+            variables[name] = Dimension(float(centre), shape, unit=variable.unit)
     if isinstance(problem.experiment, FunctionExperiment):
         units = problem.units()
-        return FunctionProblem(problem.function, known, units=units, correlation=correlation)
+        return FunctionProblem(problem.function, variables, units=units, correlation=correlation)
     lasts = float(problem.duration if duration is None else duration)
-    at = [i for i, own in enumerate(varied) if isinstance(own, Variable)]
+    at = [i for i, variable in enumerate(varied) if isinstance(variable, Variable)]
     centred = Setting(
         tuple(problem.names[i] for i in at),
         tuple(varied[i] for i in at),
@@ -276,7 +276,7 @@ def posterior_of(problem: Problem, values: np.ndarray, duration: float | None = 
     return Problem(
         centred(problem.mechanism),
         problem.response,
-        known,
+        variables,
         duration=lasts,
         integrator=problem.integrator,
         save=np.asarray(problem.shares) * lasts,
@@ -291,13 +291,13 @@ def score_correlation(values: np.ndarray) -> np.ndarray | None:
     if count < 2:
         return None
     ranks = np.argsort(np.argsort(values, axis=0, kind="stable"), axis=0) + 0.5
-    found = np.corrcoef(scipy.special.ndtri(ranks / len(values)).T)
+    correlation = np.corrcoef(scipy.special.ndtri(ranks / len(values)).T)
     # Of few draws nearly dependent columns are possible; a little less than that is positive.
-    least = np.linalg.eigvalsh(found)[0]
+    least = np.linalg.eigvalsh(correlation)[0]
     if least < 10 * LEAST_EIGENVALUE:
         share = 1e-6
-        found = (1 - share) * found + share * np.eye(count)
-    return found
+        correlation = (1 - share) * correlation + share * np.eye(count)
+    return correlation
 
 
 def together(names: Sequence[str], fitted: Regression, verdicts: Sequence[str]) -> tuple[str, ...]:
@@ -309,20 +309,20 @@ def together(names: Sequence[str], fitted: Regression, verdicts: Sequence[str]) 
     # Shares of a uniform prior have a variance of 1/12.
     covariance = 12 * np.cov(fitted.residuals[:, open_].T)
     variances, axes = np.linalg.eigh(covariance)
-    found = []
+    groups = []
     for variance, axis in zip(variances, axes.T, strict=True):
         weights = axis / axis[np.argmax(np.abs(axis))]
-        own = [i for i, weight in enumerate(weights) if abs(weight) >= LEAST_WEIGHT]
+        indices = [i for i, weight in enumerate(weights) if abs(weight) >= LEAST_WEIGHT]
         spread = float(np.sqrt(max(variance, 0.0)))
-        least = min(scatter[open_[i]] for i in own)
-        if len(own) > 1 and spread < TOGETHER and spread < 0.6 * least:
+        least = min(scatter[open_[i]] for i in indices)
+        if len(indices) > 1 and spread < TOGETHER and spread < 0.6 * least:
             parts = " ".join(
                 f"{'+' if weights[i] > 0 else '-'} {abs(weights[i]):.2g} x {names[open_[i]]}"
-                for i in own
+                for i in indices
             ).removeprefix("+ ")
-            found.append(
-                f"{' and '.join(names[open_[i]] for i in own)} are identified only together: "
+            groups.append(
+                f"{' and '.join(names[open_[i]] for i in indices)} are identified only together: "
                 f"{parts} (each as a share of its prior) is known to {100 * spread:.0f} % of what "
                 "the priors leave."
             )
-    return tuple(found)
+    return tuple(groups)

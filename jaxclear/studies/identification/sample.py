@@ -52,11 +52,11 @@ def watched(problem: Problem, record: Measurement, laws: Ensemble) -> Problem:
     variables = {name: problem.variables[name] for name in problem.names} | laws.variables
     correlation = None
     if problem.correlation is not None:
-        known = len(problem.names)
+        count = len(problem.names)
         correlation = np.eye(len(variables))
-        correlation[:known, :known] = np.asarray(problem.correlation)
+        correlation[:count, :count] = np.asarray(problem.correlation)
     sensors = {_response(name): sensor.ideal() for name, sensor in record.sensors.items()}
-    found = Problem(
+    watched_problem = Problem(
         laws.mechanism,
         dict.fromkeys(sensors, _end_of),
         variables,
@@ -67,7 +67,7 @@ def watched(problem: Problem, record: Measurement, laws: Ensemble) -> Problem:
         correlation=correlation,
     )
     # No study but this one knows what to do with signals.
-    return eqx.tree_at(lambda own: own.response, found, sensors)
+    return eqx.tree_at(lambda tree: tree.response, watched_problem, sensors)
 
 
 def _end_of(run: Any) -> Any:
@@ -81,12 +81,12 @@ def _response(name: str) -> str:
 def check_identifiable(problem: Any, record: Measurement) -> None:
     """Raises `ValueError` with a sentence where a problem's runs cannot be compared with a record,
     or cannot see what is asked."""
-    wanted = "a jaxclear.Problem of a mechanism in time, its unknowns as variables"
-    expect(problem, Problem, "what is identified", wanted)
-    expect(problem.experiment, RunExperiment, "what is identified", wanted)
+    expected = "a jaxclear.Problem of a mechanism in time, its unknowns as variables"
+    expect(problem, Problem, "what is identified", expected)
+    expect(problem.experiment, RunExperiment, "what is identified", expected)
     if not problem.variables:
         raise ValueError("the problem has no variables; its unknowns are these: give it some.")
-    several = [name for name, own in problem.groups.items() if len(own) > 1]
+    several = [name for name, members in problem.groups.items() if len(members) > 1]
     if several:
         raise ValueError(
             f'"{several[0]}" is a variable of several numbers; give each unknown a variable of its '
@@ -114,17 +114,17 @@ def window_end(problem: Problem, record: Measurement) -> int | None:
     """Where in a run's samples what a record shows ends: before what was cut off the record, or, of
     a run that is too short for that, as many whole turns later as it takes; None where no whole
     turns do."""
-    room = round(float(problem.duration) * record.rate) + 1 - len(record.time)
+    margin = round(float(problem.duration) * record.rate) + 1 - len(record.time)
     cut = round(record.cut_off * record.rate)
-    if cut > room and record.turn is not None and not isinstance(record.turn, str):
-        cut = round(_beyond_whole_turns(record) * record.rate)
-    elif cut > room:
+    if cut > margin and record.turn is not None and not isinstance(record.turn, str):
+        cut = round(_time_to_full_turn(record) * record.rate)
+    elif cut > margin:
         # What tells its turns itself, or has none, has no place in a run.
         cut = 0
-    return len(record.time) + room - cut if cut <= room else None
+    return len(record.time) + margin - cut if cut <= margin else None
 
 
-def _beyond_whole_turns(record: Measurement) -> float:
+def _time_to_full_turn(record: Measurement) -> float:
     """Time [s] from the end of a record to the end of a whole turn of what it is a part of."""
     turn = float(record.turn or 0.0)
     # A whole turn but for rounding is one.
@@ -135,11 +135,11 @@ def check_window(problem: Problem, record: Measurement) -> None:
     """Raises `ValueError` with a sentence where a record ends within a turn at which no run of the
     problem shows as much."""
     if window_end(problem, record) is None:
-        whole = record.time[-1] + _beyond_whole_turns(record)
+        end_time = record.time[-1] + _time_to_full_turn(record)
         raise ValueError(
             f"the record ends {record.cut_off:.6g} s before what it is a part of, within a turn, "
             f"and the problem's runs are too short to be compared there; end its part at a whole "
-            f"turn, such as {whole:.6g} s, or give the problem a longer duration."
+            f"turn, such as {end_time:.6g} s, or give the problem a longer duration."
         )
 
 
@@ -153,33 +153,33 @@ def _signals_of_chunk(problem: Problem, values: Array) -> SampleResult:
 def sampled(
     problem: Problem,
     record: Measurement,
-    asked: Problem,
-    known: Ensemble,
+    base_problem: Problem,
+    ensemble: Ensemble,
     runs: int,
     seed: int = 0,
     progress_bar: bool = False,
 ) -> Sample:
-    """Runs of the problem over its priors; `asked`: what `watched` makes of it with the laws
-    `known`."""
-    drawing = Drawing(asked, seed, "sobol", usual_scramblings(runs))
+    """Runs of the problem over its priors; `base_problem`: what `watched` makes of it with the laws
+    `ensemble`."""
+    drawing = Drawing(base_problem, seed, "sobol", usual_scramblings(runs))
     values = drawing.span(0, runs)
-    chunk = chunk_size(asked, runs)
-    found = evaluate_all(
-        asked,
+    chunk = chunk_size(base_problem, runs)
+    results = evaluate_all(
+        base_problem,
         jnp.asarray(values),
         chunk=chunk,
         progress_bar=progress_bar,
         label="identify",
         function=_signals_of_chunk,
     )
-    signals = {name: np.asarray(found.responses[_response(name)]) for name in record.sensors}
-    good = np.asarray(found.outcome) == Outcome.REACHED
-    for own in signals.values():
-        good &= np.all(np.isfinite(own), axis=1)
+    signals = {name: np.asarray(results.responses[_response(name)]) for name in record.sensors}
+    good = np.asarray(results.outcome) == Outcome.REACHED
+    for signal in signals.values():
+        good &= np.all(np.isfinite(signal), axis=1)
     count = len(problem.names)
-    choices = {name: values[good, count + i] for i, name in enumerate(known.variables)}
-    kept = {name: own[good] for name, own in signals.items()}
-    return Sample(problem, values[good, :count], choices, kept, int(np.sum(~good)), known)
+    choices = {name: values[good, count + i] for i, name in enumerate(ensemble.variables)}
+    successful = {name: signal[good] for name, signal in signals.items()}
+    return Sample(problem, values[good, :count], choices, successful, int(np.sum(~good)), ensemble)
 
 
 class Cut(NamedTuple):
@@ -195,9 +195,9 @@ def cut_of(record: Measurement, sample: Sample) -> Cut:
     if record.turn is None:
         return Cut(0, 0)
     if isinstance(record.turn, str):
-        shown = _shown_part(sample.problem, sample.signals[record.turn], record)
-        angles = [record.signals[record.turn], *shown]
-        ends = [full_turns(own) for own in angles]
+        simulated = _matching_part(sample.problem, sample.signals[record.turn], record)
+        angles = [record.signals[record.turn], *simulated]
+        ends = [full_turns(angle) for angle in angles]
         turns = min(last - first for first, last in ends)
     else:
         turns = int(np.floor(record.lasts / record.turn * (1 + 1e-9)))
@@ -215,7 +215,7 @@ def cut_of(record: Measurement, sample: Sample) -> Cut:
     return Cut(turns, samples)
 
 
-def _shown_part(problem: Problem, signals: np.ndarray, record: Measurement) -> np.ndarray:
+def _matching_part(problem: Problem, signals: np.ndarray, record: Measurement) -> np.ndarray:
     """What of the runs stands beside the record: as many samples, at their end or before what was
     cut off the record."""
     end = window_end(problem, record)
@@ -225,47 +225,47 @@ def _shown_part(problem: Problem, signals: np.ndarray, record: Measurement) -> n
 
 def as_signals(signals: dict[str, np.ndarray], record: Measurement, cut: Cut) -> dict[str, Signal]:
     """Signals (runs, samples) as statistics take them; the encoder's own is none."""
-    found = {}
-    for name, own in signals.items():
+    result = {}
+    for name, signal in signals.items():
         if name == record.turn:
             continue
         if cut.turns == 0:
-            found[name] = Signal(own, record.rate)
+            result[name] = Signal(signal, record.rate)
             continue
         if isinstance(record.turn, str):
             angle = signals[record.turn]
         else:
-            angle = 2 * np.pi / float(record.turn or 1) * np.arange(own.shape[1]) / record.rate
-        found[name] = by_turns(own, record.rate, angle, cut.turns, cut.samples)
-    return found
+            angle = 2 * np.pi / float(record.turn or 1) * np.arange(signal.shape[1]) / record.rate
+        result[name] = by_turns(signal, record.rate, angle, cut.turns, cut.samples)
+    return result
 
 
 def sensed(sample: Sample, record: Measurement, seed: int) -> dict[str, np.ndarray]:
     """What the record's sensors would show of each run, over the time of the record. The angle that
     tells turns is taken as it is."""
     rng = np.random.default_rng((seed, 1))
-    found = {}
-    for name, own in sample.signals.items():
-        shown = own
+    result = {}
+    for name, signal in sample.signals.items():
+        output = signal
         if name != record.turn:
-            shown = record.sensors[name].sensed(own, record.rate, rng)
-        found[name] = _shown_part(sample.problem, shown, record)
-    return found
+            output = record.sensors[name].sensed(signal, record.rate, rng)
+        result[name] = _matching_part(sample.problem, output, record)
+    return result
 
 
 def statistics_of(signals: dict[str, Signal], statistics: Any) -> dict[str, np.ndarray]:
     """Statistics (runs, numbers) of each kind, by the signal's name and their own. Raises
     `ValueError` with a sentence where one's own gives something else."""
-    found = {}
+    result = {}
     for name, signal in signals.items():
         for what, function in statistics.items():
-            own = np.asarray(function(signal), float)
-            if own.ndim != 2 or len(own) != len(signal.values):
+            values = np.asarray(function(signal), float)
+            if values.ndim != 2 or len(values) != len(signal.values):
                 raise ValueError(
-                    f'statistic "{what}" gives an array of shape {own.shape} for signals of shape '
-                    f"{signal.values.shape}; it must be (signals, numbers)."
+                    f'statistic "{what}" gives an array of shape {values.shape} for signals of '
+                    f"shape {signal.values.shape}; it must be (signals, numbers)."
                 )
-            found[f"{name}: {what}"] = own
-    if not found:
+            result[f"{name}: {what}"] = values
+    if not result:
         raise ValueError(f"there is no signal beside the encoder's, {listed(signals)}.")
-    return found
+    return result

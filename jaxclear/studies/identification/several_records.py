@@ -44,29 +44,29 @@ def _scale(between: float, within: float, records: int) -> float:
     return float(max(between, within) * np.sqrt(1.0 + 1.0 / records))
 
 
-def next_record(told: Sequence[CredibleInterval]) -> NextRecord:
+def next_record(estimates: Sequence[CredibleInterval]) -> NextRecord:
     """An unknown, or a response, in the next record, from what each record (two at least) tells of
     it."""
-    values = np.array([own.value for own in told])
-    within = float(np.sqrt(np.mean([own.deviation**2 for own in told])))
+    values = np.array([estimate.value for estimate in estimates])
+    within = float(np.sqrt(np.mean([estimate.deviation**2 for estimate in estimates])))
     between, freedom = float(values.std(ddof=1)), len(values) - 1
     half = scipy.stats.t.ppf(0.975, freedom) * _scale(between, within, len(values))
     middle = float(values.mean())
     return NextRecord(middle, middle - half, middle + half, between, within, freedom)
 
 
-def interval_of(told: Sequence[CredibleInterval]) -> CredibleInterval:
+def interval_of(estimates: Sequence[CredibleInterval]) -> CredibleInterval:
     """What one record tells; what several tell of the next."""
-    if len(told) < FEWEST:
-        return told[0]
-    found = next_record(told)
-    deviation = max(found.between, found.within)
-    ends = told[0].prior_low, told[0].prior_high
-    return CredibleInterval(found.value, found.low, found.high, deviation, *ends)
+    if len(estimates) < FEWEST:
+        return estimates[0]
+    interval = next_record(estimates)
+    deviation = max(interval.between, interval.within)
+    ends = estimates[0].prior_low, estimates[0].prior_high
+    return CredibleInterval(interval.value, interval.low, interval.high, deviation, *ends)
 
 
-def left_out(told: Sequence[CredibleInterval]) -> list[tuple[float, NextRecord]]:
+def leave_one_out(estimates: Sequence[CredibleInterval]) -> list[tuple[float, NextRecord]]:
     """For each record (three at least) its value, and what all others say of it: whether the
     records agree with what is told of the next one."""
-    others = lambda i: [own for k, own in enumerate(told) if k != i]
-    return [(own.value, next_record(others(i))) for i, own in enumerate(told)]
+    others = lambda i: [estimate for k, estimate in enumerate(estimates) if k != i]
+    return [(estimate.value, next_record(others(i))) for i, estimate in enumerate(estimates)]

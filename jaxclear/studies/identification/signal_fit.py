@@ -12,7 +12,6 @@ Meteorol. 23, 800; where to end its sum, Geyer 1992, Stat. Sci. 7, 473, doi:10.1
 
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 import scipy
 from jax.scipy.special import ndtr
@@ -33,12 +32,12 @@ from jaxclear.studies.identification.posterior import (
 )
 
 # A noise is known to within this share of it: its power, and what is left of a record, to twice.
-NOISE_KNOWN = 0.2
+NOISE_TOLERANCE = 0.2
 # One right model in a thousand is refused.
 REFUSED = 1e-3
 # Of a signal whose noise is not known, shares of its deviation: no instrument leaves less than the
 # first, and beyond the last its mean would explain it better.
-LEAST_LEFT, MOST_LEFT = 1e-6, 1.1
+LEAST_MISFIT, MOST_MISFIT = 1e-6, 1.1
 # Shares below and above which half of the rest of 95 % lies.
 ENDS = (0.025, 0.975)
 # Places that the sampling of the posterior begins about.
@@ -122,22 +121,22 @@ def fit_signal(
     check_signals(forward, record)
     begin = starts_of(starts, len(forward.problem.names), seed)
     scale = _first_scale(record)
-    found = optima(forward, record, begin, scale, windows)
-    if not found:
+    candidates = optima(forward, record, begin, scale, windows)
+    if not candidates:
         return _refused(forward, record, None, _NOT_FINITE)
     # What the nearest leaves tells how much each sample is worth; then once more from there.
-    misfits = _misfits(record, found[0])
+    misfits = _misfits(record, candidates[0])
     scale = _scale(record, misfits)
     # As many rows as before run the same program.
-    again = np.resize([own.normal for own in found[:MOST_CENTRES]], begin.shape)
-    found = optima(forward, record, again, scale) or found[:MOST_CENTRES]
-    best = found[0]
+    again = np.resize([optimum.normal for optimum in candidates[:MOST_CENTRES]], begin.shape)
+    candidates = optima(forward, record, again, scale) or candidates[:MOST_CENTRES]
+    best = candidates[0]
     misfits = _misfits(record, best)
     refusal = _refusal(best, misfits)
     if refusal:
         return _refused(forward, record, best, refusal)
-    sampled = _sampled(forward, record, found, misfits, draws, seed)
-    return _told(forward, record, best, misfits, sampled)
+    sampled = _sampled(forward, record, candidates, misfits, draws, seed)
+    return _make_fit(forward, record, best, misfits, sampled)
 
 
 def correlation_time(residual: np.ndarray) -> float:
@@ -163,27 +162,27 @@ _NOT_FINITE = (
 
 def _first_scale(record: Record) -> np.ndarray:
     """Before anything is fitted: the noise, or a tenth of the signal's own deviation."""
-    own = [
+    scales = [
         np.full(len(signal), record.noise.get(name) or 0.1 * (np.std(signal) or 1.0))
         for name, signal in record.signals.items()
     ]
-    return np.concatenate(own)
+    return np.concatenate(scales)
 
 
 def _misfits(record: Record, best: Optimum) -> dict[str, Misfit]:
-    found = {}
+    misfits = {}
     for name, part in zip(record.names, record.parts, strict=True):
-        left, noise = best.residual[part], record.noise.get(name)
-        square, count = float(np.mean(left**2)), len(left)
+        residual, noise = best.residual[part], record.noise.get(name)
+        square, count = float(np.mean(residual**2)), len(residual)
         chi2 = limit = np.nan
         if noise is not None:
             chi2 = square / noise**2
-            known = (1.0 + NOISE_KNOWN) ** 2
-            limit = known * float(scipy.stats.chi2.isf(REFUSED, count)) / count
+            tolerance = (1.0 + NOISE_TOLERANCE) ** 2
+            limit = tolerance * float(scipy.stats.chi2.isf(REFUSED, count)) / count
         share = np.sqrt(square) / _size(record.signals[name])
-        time = min(correlation_time(left), float(count))
-        found[name] = Misfit(float(np.sqrt(square)), float(share), time, chi2, limit, count)
-    return found
+        time = min(correlation_time(residual), float(count))
+        misfits[name] = Misfit(float(np.sqrt(square)), float(share), time, chi2, limit, count)
+    return misfits
 
 
 def _size(signal: np.ndarray) -> float:
@@ -193,32 +192,32 @@ def _size(signal: np.ndarray) -> float:
 
 def _scale(record: Record, misfits: dict[str, Misfit]) -> np.ndarray:
     """Standard deviation with which each sample counts: larger where neighbours say the same."""
-    own = []
+    scales = []
     for name, signal in record.signals.items():
         misfit, noise = misfits[name], record.noise.get(name)
-        size = noise if noise is not None else max(misfit.size, 0.1 * LEAST_LEFT * _size(signal))
-        own.append(np.full(len(signal), size * np.sqrt(misfit.time)))
-    return np.concatenate(own)
+        size = noise if noise is not None else max(misfit.size, 0.1 * LEAST_MISFIT * _size(signal))
+        scales.append(np.full(len(signal), size * np.sqrt(misfit.time)))
+    return np.concatenate(scales)
 
 
 def _refusal(best: Optimum, misfits: dict[str, Misfit]) -> str:
     """Why no interval is told; "" where nothing is against it."""
-    for name, own in misfits.items():
-        if not own.explained:
+    for name, fit in misfits.items():
+        if not fit.explained:
             return (
                 f'no values within the distributions explain the signal "{name}": what is left is '
-                f"{own.chi2:.3g} times what its noise makes, where {own.limit:.3g} is the most. "
+                f"{fit.chi2:.3g} times what its noise makes, where {fit.limit:.3g} is the most. "
                 'Another law may; how="statistics" asks less of it.'
             )
-        if np.isnan(own.chi2) and own.share < LEAST_LEFT:
+        if np.isnan(fit.chi2) and fit.share < LEAST_MISFIT:
             return (
-                f'the signal "{name}" is explained to {own.share:.1g} of itself, as none is that '
+                f'the signal "{name}" is explained to {fit.share:.1g} of itself, as none is that '
                 "an instrument showed, so that what is left tells no noise; give its sensor one."
             )
-        if np.isnan(own.chi2) and own.share > MOST_LEFT:
+        if np.isnan(fit.chi2) and fit.share > MOST_MISFIT:
             return (
                 f'no values within the distributions explain the signal "{name}": what is left is '
-                f"{own.share:.3g} times what it varies by, so that its mean explains it better. "
+                f"{fit.share:.3g} times what it varies by, so that its mean explains it better. "
                 "Wider distributions may, or another law."
             )
     if not best.converged:
@@ -234,7 +233,7 @@ def _refused(forward: Forward, record: Record, best: Optimum | None, why: str) -
     if best is None:
         values, row, misfits = np.full(len(names), np.nan), record.row * np.nan, {}
     else:
-        values = np.asarray(forward.problem.inputs.values(jnp.asarray(best.normal)))
+        values = np.asarray(forward.problem.inputs.values(best.normal))
         row, misfits = record.row + best.residual, _misfits(record, best)
     none = np.zeros((0, len(names)))
     return SignalFit(values, row, misfits, none, np.zeros(0), {}, {}, {}, {}, 0, why)
@@ -250,21 +249,21 @@ class _Sample(NamedTuple):
 def _sampled(
     forward: Forward,
     record: Record,
-    found: list[Optimum],
+    optima: list[Optimum],
     misfits: dict[str, Misfit],
     draws: int,
     seed: int,
 ) -> _Sample:
     """Draws from the tempered posterior, begun about the optima."""
     inputs, names = forward.problem.inputs, list[str]()
-    measured, nearest = record.row, found[0].residual
+    measured, nearest = record.row, optima[0].residual
 
     def target(normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        rows, own = answered(forward, np.asarray(inputs.values(jnp.asarray(normal))))
-        left = rows - measured
+        rows, responses = answered(forward, np.asarray(inputs.values(normal)))
+        residuals = rows - measured
         density = -0.5 * np.sum(normal**2, axis=1)
         for name, part in zip(record.names, record.parts, strict=True):
-            square, noise = np.sum(left[:, part] ** 2, axis=1), record.noise.get(name)
+            square, noise = np.sum(residuals[:, part] ** 2, axis=1), record.noise.get(name)
             worth = misfits[name].time
             if noise is None:
                 # Of a noise of any size, all equally likely on a logarithmic scale.
@@ -272,19 +271,19 @@ def _sampled(
                 density = density - 0.5 * (part.stop - part.start) / worth * np.log(square / least)
             else:
                 density = density - 0.5 * square / (noise**2 * worth)
-        names[:] = own
-        told = np.array(list(own.values())).reshape(len(names), len(left)).T
-        return np.where(np.isfinite(density), density, -np.inf), told
+        names[:] = responses
+        answer_rows = np.array(list(responses.values())).reshape(len(names), len(residuals)).T
+        return np.where(np.isfinite(density), density, -np.inf), answer_rows
 
     scale = _scale(record, misfits)
-    matrices = [np.linalg.inv(own.information(scale)) for own in found]
-    sample = importance_sampled(target, [own.normal for own in found], matrices, draws, seed)
-    values = np.asarray(inputs.values(jnp.asarray(sample.normal)))
-    responses = dict(zip(names, sample.beside.T, strict=True))
+    matrices = [np.linalg.inv(fit.information(scale)) for fit in optima]
+    sample = importance_sampled(target, [fit.normal for fit in optima], matrices, draws, seed)
+    values = np.asarray(inputs.values(sample.normal))
+    responses = dict(zip(names, sample.extras.T, strict=True))
     return _Sample(sample, values, responses, len(values))
 
 
-def _told(
+def _make_fit(
     forward: Forward, record: Record, best: Optimum, misfits: dict[str, Misfit], sample: _Sample
 ) -> SignalFit:
     """Intervals of what was sampled."""
@@ -297,18 +296,18 @@ def _told(
             f"{len(weights)} draws are worth {sample.draws.effective:.0f} of equal weight, too few "
             'for an interval; give more draws, or ask how="statistics".',
         )
-    scores = np.asarray(problem.inputs.scores(jnp.asarray(sample.draws.normal)))
+    scores = np.asarray(problem.inputs.scores(sample.draws.normal))
     shares = np.asarray(ndtr(scores))
     unknowns = {
         name: _interval_of_unknown(problem, i, shares[:, i], sample.values[:, i], weights)
         for i, name in enumerate(problem.names)
     }
     answers = {}
-    for name, own in sample.responses.items():
-        middle, low, high = (weighted_quantile(own, weights, x) for x in (0.5, *ENDS))
-        prior = (weighted_quantile(own, sample.draws.prior_weights, x) for x in ENDS)
-        answers[name] = CredibleInterval(middle, low, high, _deviation(own, weights), *prior)
-    values = np.asarray(problem.inputs.values(jnp.asarray(best.normal)))
+    for name, response in sample.responses.items():
+        middle, low, high = (weighted_quantile(response, weights, x) for x in (0.5, *ENDS))
+        prior = (weighted_quantile(response, sample.draws.prior_weights, x) for x in ENDS)
+        answers[name] = CredibleInterval(middle, low, high, _deviation(response, weights), *prior)
+    values = np.asarray(problem.inputs.values(best.normal))
     return SignalFit(
         values,
         record.row + best.residual,
@@ -325,8 +324,8 @@ def _told(
 
 def _interval_of_unknown(problem, place, shares, values, weights) -> CredibleInterval:
     low, high = shortest_interval(shares, weights)
-    own, nominal = problem.inputs.distributions[place], float(problem.nominal()[place])
-    at = lambda share: nominal + float(own.quantile(jnp.asarray(share)))
+    distribution, nominal = problem.inputs.distributions[place], float(problem.nominal()[place])
+    at = lambda share: nominal + float(distribution.quantile(share))
     inside = lambda share, extreme: at(share) if np.isfinite(at(share)) else extreme
     ends = inside(low, values.min()), inside(high, values.max())
     median = weighted_quantile(values, weights, 0.5)
@@ -339,8 +338,8 @@ def _deviation(values: np.ndarray, weights: np.ndarray) -> float:
 
 
 def _correlations(names, scores, weights) -> dict[tuple[str, str], float]:
-    apart = scores - weights @ scores
-    matrix = apart.T @ (weights[:, None] * apart)
+    residuals = scores - weights @ scores
+    matrix = residuals.T @ (weights[:, None] * residuals)
     size = np.sqrt(np.diag(matrix))
     pairs = [(i, j) for j in range(len(names)) for i in range(j)]
     return {(names[i], names[j]): float(matrix[i, j] / (size[i] * size[j])) for i, j in pairs}

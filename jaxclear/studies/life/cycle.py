@@ -59,19 +59,20 @@ MOST_CYCLES = 2.0**53
 
 
 class Cycle(eqx.Module):
-    """What is kept of a cycle: the motion at its `end`, by joint and surface the depth [m] and the
-    volume [m3] that `wore` and `lost`, the depth that `wore_by_fourths` of its saving times alone,
-    the `losses` from one saving time to the next, the problem's `responses`, how far its two ends
-    are `apart`, how its run ended (`outcome`) and when [s], and its `checks`. Arrays on the host.
+    """What is kept of a cycle: the motion at its `end`, by joint and surface the worn
+    depth [m] (`wore`) and the worn `volumes` [m3], the depth of a fourth of its saving times alone
+    (`wore_by_fourths`), the `losses` from one saving time to the next, the problem's `responses`,
+    the relative `changes` between its two ends, how its run ended (`outcome`) and when [s], and its
+    `checks`. Arrays on the host.
     """
 
     end: SavedMotion
     wore: Worn
-    lost: dict[str, dict[str, Array]]
+    volumes: dict[str, dict[str, Array]]
     wore_by_fourths: Worn
     losses: Losses
     responses: dict[str, Array]
-    apart: dict[str, Array]
+    changes: dict[str, Array]
     outcome: Int[Array, ""]
     ended: Float[Array, ""]
     checks: Checks
@@ -79,12 +80,12 @@ class Cycle(eqx.Module):
     @property
     def distance(self) -> float:
         """How far its ends are apart [1], at the worst place; `nan` where its run failed."""
-        return float(np.max(list(self.apart.values()))) if self.apart else 0.0
+        return float(np.max(list(self.changes.values()))) if self.changes else 0.0
 
     @property
     def worst(self) -> str:
         """Where its ends are furthest apart."""
-        return max(self.apart, key=lambda name: float(self.apart[name])) if self.apart else ""
+        return max(self.changes, key=lambda name: float(self.changes[name])) if self.changes else ""
 
     @property
     def fault(self) -> str:
@@ -98,7 +99,7 @@ class Cycle(eqx.Module):
         return ""
 
 
-class Asked(eqx.Module):
+class Request(eqx.Module):
     """What a cycle needs of its problem: neither its variables nor its own start, so that one
     program serves all of these. `times` [s] count from its beginning."""
 
@@ -108,57 +109,57 @@ class Asked(eqx.Module):
     times: Float[Array, " saves"]
 
 
-def asked_of(problem: Problem, values: Any) -> Asked:
+def cycle_request(problem: Problem, values: Any) -> Request:
     """What a cycle needs, with the problem's variables at these values."""
     times = problem.shares * problem.duration
-    return Asked(
+    return Request(
         ungiven(problem.seen(problem.setting(values))), problem.integrator, problem.response, times
     )
 
 
 @eqx.filter_jit
-def compiled_cycle(asked: Asked, begin: SavedMotion, worn: Worn) -> tuple[Cycle, Trajectory]:
+def compiled_cycle(request: Request, begin: SavedMotion, worn: Worn) -> tuple[Cycle, Trajectory]:
     """A cycle and its run."""
-    times, past = begin.time + asked.times, Past(worn, begin.remembered)
+    times, past = begin.time + request.times, Past(worn, begin.remembered)
     motion = begin.coordinates, begin.speeds
-    found = run(asked.mechanism, *motion, times, asked.integrator, past=past)
-    end = found.state().motion
+    trajectory = run(request.mechanism, *motion, times, request.integrator, past=past)
+    end = trajectory.state().motion
     assert end is not None
-    model = found.history.model()
+    model = trajectory.history.model()
     system, layout = model.system, model.layout
-    rare = losses_between(layout, found.states, FOURTH)
-    kept = Cycle(
+    rare = losses_between(layout, trajectory.states, FOURTH)
+    result = Cycle(
         end,
-        jax.tree.map(lambda after, before: after - before, found.worn, worn),
-        volumes(found),
+        jax.tree.map(lambda after, before: after - before, trajectory.worn, worn),
+        volumes(trajectory),
         jax.tree.map(lambda after, before: after - before, worn_by(system, worn, rare), worn),
-        losses_between(layout, found.states),
-        {name: jnp.asarray(own(found), float) for name, own in asked.response.items()},
-        apart(found.history),
-        found.outcome,
-        found.ended,
-        found.invariants,
+        losses_between(layout, trajectory.states),
+        {name: jnp.asarray(f(trajectory), float) for name, f in request.response.items()},
+        relative_changes(trajectory.history),
+        trajectory.outcome,
+        trajectory.ended,
+        trajectory.invariants,
     )
-    return kept, found
+    return result, trajectory
 
 
-def cycle(asked: Asked, begin: SavedMotion, worn: Worn) -> tuple[Cycle, Trajectory]:
+def cycle(request: Request, begin: SavedMotion, worn: Worn) -> tuple[Cycle, Trajectory]:
     """A cycle simulated, and its run."""
     with stoppable():
-        kept, found = jax.block_until_ready(compiled_cycle(asked, begin, worn))
-        found = diagnosed(found)
-    kept = dataclasses.replace(kept, outcome=found.outcome)
-    return jax.tree.map(np.asarray, kept), found
+        result, trajectory = jax.block_until_ready(compiled_cycle(request, begin, worn))
+        trajectory = diagnosed(trajectory)
+    result = dataclasses.replace(result, outcome=trajectory.outcome)
+    return jax.tree.map(np.asarray, result), trajectory
 
 
 @eqx.filter_jit
-def worn_by_cycles(asked: Asked, worn: Worn, losses: Losses, lengths: Any, parts: Any) -> Worn:
+def worn_by_cycles(request: Request, worn: Worn, losses: Losses, lengths: Any, parts: Any) -> Worn:
     """Depth maps after so many (`lengths`) of each of some cycles, whose `losses` have an axis of
     cycles in front, in so many `parts`, the shorter the nearer they are to the end: of the former
     ones walls forget. In each part the cycles go by in their order and backwards, from another
     place on than in the one before, so that no loss of a cycle comes before the others."""
-    system = model_of(asked.mechanism, asked.integrator.formulation).system
-    cycles, saves = len(lengths), len(asked.times) - 1
+    system = model_of(request.mechanism, request.integrator.formulation).system
+    cycles, saves = len(lengths), len(request.times) - 1
 
     def put_on(turn, worn):
         part, order = turn // (2 * cycles), turn % (2 * cycles)
@@ -167,29 +168,29 @@ def worn_by_cycles(asked: Asked, worn: Worn, losses: Losses, lengths: Any, parts
         share = 0.5 * (ends[0] - ends[1]) * lengths[which]
         begin = jnp.floor(saves * (part * GOLDEN % 1.0)).astype(int)
 
-        def turned(rows):
+        def rotate(rows):
             rows = jnp.roll(rows[which], -begin, axis=0)
             return jnp.where(order < cycles, rows, rows[::-1])
 
-        lost: Losses = {
-            surface: (share * turned(volumes), turned(places))
+        deposited: Losses = {
+            surface: (share * rotate(volumes), rotate(places))
             for surface, (volumes, places) in losses.items()
         }
-        return worn_by(system, worn, lost)
+        return worn_by(system, worn, deposited)
 
     return jax.lax.fori_loop(0, 2 * cycles * parts, put_on, worn)
 
 
-def kind_of_cycle(asked: Asked, begin: SavedMotion, worn: Worn) -> Cycle:
+def kind_of_cycle(request: Request, begin: SavedMotion, worn: Worn) -> Cycle:
     """A cycle with shapes in place of numbers; nothing is simulated."""
-    return eqx.filter_eval_shape(compiled_cycle, asked, begin, worn)[0]
+    return eqx.filter_eval_shape(compiled_cycle, request, begin, worn)[0]
 
 
-def volumes(found: Trajectory) -> Worn:
+def volumes(trajectory: Trajectory) -> Worn:
     """Volume [m3] lost in a run, by joint and surface."""
     return {
-        joint: {surface: found.worn_volume(joint, surface)[-1] for surface in surfaces}
-        for joint, surfaces in found.worn.items()
+        joint: {surface: trajectory.worn_volume(joint, surface)[-1] for surface in surfaces}
+        for joint, surfaces in trajectory.worn.items()
     }
 
 
@@ -206,15 +207,15 @@ def first_state(problem: Problem, values: Any) -> tuple[SavedMotion, Worn]:
     model = model_of(mechanism, formulation)
     layout = model.layout
     rest = jnp.zeros(layout.size - layout.memory_start)
-    whole = jnp.concatenate([start.coordinates, start.speeds, rest])
+    state = jnp.concatenate([start.coordinates, start.speeds, rest])
     time = jnp.asarray(problem.state.begins, float)
-    whole = closure_coordinates.started(mechanism, model.system, layout, time, whole)
-    remembered = whole[layout.remembered] if past.remembered is None else past.remembered
+    state = closure_coordinates.started(mechanism, model.system, layout, time, state)
+    remembered = state[layout.remembered] if past.remembered is None else past.remembered
     named = names(model.system, layout)
-    first, beside = layout.memory_start, layout.remembered
+    first, memory_start = layout.memory_start, layout.remembered
     parts = start.coordinates, start.speeds, remembered
-    known = tuple(named[:first]), tuple(named[beside]), mechanism.topology.redundancy
-    motion = SavedMotion(time, *parts, *known)
+    details = tuple(named[:first]), tuple(named[memory_start]), mechanism.topology.redundancy
+    motion = SavedMotion(time, *parts, *details)
     return motion, unworn(model.system) if past.worn is None else past.worn
 
 
@@ -257,9 +258,9 @@ def usual_responses(mechanism: Mechanism) -> dict[str, Callable]:
     return means | peaks or {"largest speed [m/s]": largest_speed}
 
 
-def largest_speed(found: Trajectory) -> Array:
+def largest_speed(run: Trajectory) -> Array:
     """Of the centres of mass of all bodies [m/s]."""
-    speeds = [jnp.linalg.norm(found.body(b).velocity, axis=-1) for b in found.mechanism.bodies]
+    speeds = [jnp.linalg.norm(run.body(b).velocity, axis=-1) for b in run.mechanism.bodies]
     return jnp.max(jnp.stack(speeds))
 
 
@@ -287,7 +288,7 @@ def _worse(one: Checks, other: Checks) -> Checks:
     return Checks.of(figures)
 
 
-def apart(history: StateHistory) -> dict[str, Float[Array, ""]]:
+def relative_changes(history: StateHistory) -> dict[str, Float[Array, ""]]:
     """How far the last saved state is from the first, by what it is of: places of bodies in longest
     arms of the mechanism, attitudes [rad], velocities in the largest in between (a spin counts as
     the speed of a longest arm that turns so), journals in clearances, angles that wind up springs
@@ -296,33 +297,33 @@ def apart(history: StateHistory) -> dict[str, Float[Array, ""]]:
     arm = longest_arm(history.model().system)
     fastest = jnp.max(
         jnp.stack(
-            [jnp.max(_size(own.velocity) + arm * _size(own.spin)) for own in motions.values()]
+            [jnp.max(_size(body.velocity) + arm * _size(body.spin)) for body in motions.values()]
         )
     )
-    found = {}
-    for name, own in motions.items():
-        found[f'the place of "{name}"'] = _change(own.com) / arm
+    changes = {}
+    for name, body in motions.items():
+        changes[f'the place of "{name}"'] = _change(body.com) / arm
         # For small angles this is the angle.
-        turned = _size((own.rotation[-1] - own.rotation[0]).reshape(-1)) / jnp.sqrt(2.0)
-        found[f'the attitude of "{name}"'] = turned
-        found[f'the velocity of "{name}"'] = safe_divide(_change(own.velocity), fastest)
-        found[f'the spin of "{name}"'] = safe_divide(arm * _change(own.spin), fastest)
+        turn = _size((body.rotation[-1] - body.rotation[0]).reshape(-1)) / jnp.sqrt(2.0)
+        changes[f'the attitude of "{name}"'] = turn
+        changes[f'the velocity of "{name}"'] = safe_divide(_change(body.velocity), fastest)
+        changes[f'the spin of "{name}"'] = safe_divide(arm * _change(body.spin), fastest)
     for name, clearance in _clearances(history).items():
         offset = over_time(history, lambda now: now.pose(name).translation)
-        found[f'the journal in joint "{name}"'] = _change(columns(offset)) / clearance
+        changes[f'the journal in joint "{name}"'] = _change(columns(offset)) / clearance
     layout = history.layout()
     for i, name in enumerate(layout.angles):
         angle = history.states[:, layout.angle_start + i]
-        found[f'the angle of joint "{name}"'] = jnp.abs(angle[-1] - angle[0])
-    return found
+        changes[f'the angle of joint "{name}"'] = jnp.abs(angle[-1] - angle[0])
+    return changes
 
 
 def _clearances(history: StateHistory) -> dict[str, Any]:
     """Clearance [m] of each joint whose journal moves freely in it."""
     mechanism = history.mechanism
     joints = {name: mechanism.connections[name].joint for name in mechanism.topology.clearances}
-    known = {name: getattr(joint, "clearance", None) for name, joint in joints.items()}
-    return {name: size for name, size in known.items() if eqx.is_array(size)}
+    clearances = {name: getattr(joint, "clearance", None) for name, joint in joints.items()}
+    return {name: size for name, size in clearances.items() if eqx.is_array(size)}
 
 
 def _change(values: Float[Array, "time n"]) -> Float[Array, ""]:
@@ -333,19 +334,19 @@ def _size(values: Float[Array, "*batch n"]) -> Float[Array, " *batch"]:
     return safe_sqrt(jnp.sum(values * values, axis=-1))
 
 
-def restless(problem: Problem, begins: float, period: float = 0.0) -> dict[str, tuple]:
+def restless(problem: Problem, start: float, period: float = 0.0) -> dict[str, tuple]:
     """The drives that do not repeat from a time [s] to a `period` later, by default the problem's:
     by joint, what they move it by [rad, m], and how far that is from where it was."""
-    ends, found = begins + (period or float(problem.duration)), {}
+    ends, changes = start + (period or float(problem.duration)), {}
     for name in problem.mechanism.driven:
         joint = problem.mechanism.connections[name].joint
-        before, after = (_driven_to(joint, time) for time in (begins, ends))
+        before, after = (_driven_to(joint, time) for time in (start, ends))
         poses = [joint.motion((q,)) for q in (before, after)]
         parts = [np.array([[*p.rotation[i], p.translation[i]] for i in range(3)]) for p in poses]
         away = float(np.linalg.norm(parts[1] - parts[0]))
         if away > SAME_PLACE:
-            found[name] = after - before, away
-    return found
+            changes[name] = after - before, away
+    return changes
 
 
 def _driven_to(joint: Any, time: float) -> float:
@@ -360,11 +361,11 @@ def check_cycles(owner: str, cycles: Any) -> None:
     check_number(f"cycles of {owner}", cycles, above=0, at_most=MOST_CYCLES)
 
 
-def check_period(owner: str, problem: Problem, begins: float, cycles: int = 1) -> None:
+def check_period(owner: str, problem: Problem, start: float, cycles: int = 1) -> None:
     """Raises `ValueError` where a drive does not repeat over a cycle that begins at a time [s], nor
     over the last of so many: it may be on its way up to what it does for ever."""
-    later = restless(problem, begins + (cycles - 1) * float(problem.duration))
-    for name, (moved, away) in restless(problem, begins).items():
+    later = restless(problem, start + (cycles - 1) * float(problem.duration))
+    for name, (moved, away) in restless(problem, start).items():
         if name not in later:
             continue
         unit = problem.mechanism.connections[name].joint.units[0]
@@ -380,16 +381,16 @@ def check_period(owner: str, problem: Problem, begins: float, cycles: int = 1) -
 
 def warn_of_several(owner: str, problem: Problem) -> None:
     """Warns where all drives repeat after a part of the period already, as whole turns tell."""
-    begins, period = float(problem.state.begins), float(problem.duration)
+    start, period = float(problem.state.begins), float(problem.duration)
     joints = [problem.mechanism.connections[name].joint for name in problem.mechanism.driven]
     turns = [
-        (_driven_to(joint, begins + period) - _driven_to(joint, begins)) / (2 * np.pi)
+        (_driven_to(joint, start + period) - _driven_to(joint, start)) / (2 * np.pi)
         for joint in joints
         if joint.units[0] == "rad"
     ]
     times = int(np.gcd.reduce([round(abs(turn)) for turn in turns])) if turns else 0
-    parts = (restless(problem, begins + share * period, period / times) for share in LOOKS)
-    if times < 2 or restless(problem, begins) or any(parts):
+    parts = (restless(problem, start + share * period, period / times) for share in LOOKS)
+    if times < 2 or restless(problem, start) or any(parts):
         return
     warn(
         f"the drives repeat after {period / times:.4g} s already, {times} times in the period of "

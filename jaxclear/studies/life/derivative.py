@@ -94,14 +94,14 @@ def wear_life_derivatives(
         check_number("width of wear_life_derivatives", width, above=0)
     if limit is not None and not np.isfinite(life.until(quantity, limit).cycles):
         raise ValueError(f"{life.until(quantity, limit).sentence} Ask for a longer life.")
-    found = {}
+    derivatives = {}
     with open_store(store, "a wear life", problem), progress.bar(progress_bar, "lives"):
         for name in names:
             deviation = problem.marginals[name].deviation()
-            own = float(deviation) if width is None else float(width)
-            found[name] = _of_variable(life, quantity, limit, name, own, most)
+            step = float(deviation) if width is None else float(width)
+            derivatives[name] = _of_variable(life, quantity, limit, name, step, most)
             progress.advance(1 / len(names))
-    return found
+    return derivatives
 
 
 def _of_variable(
@@ -120,12 +120,12 @@ def _of_variable(
             other = _along(life, moved, most)
         except (SimulationError, ValueError) as reason:
             return _none(unit, f"The {what} has no derivative by {name} here: {reason}")
-        told = _told(other, quantity, limit)
-        if other.ended or not np.isfinite(told[0]):
+        length = _length_and_noise(other, quantity, limit)
+        if other.ended or not np.isfinite(length[0]):
             why = other.ended or f"moved by {move * width:.3g} it is not reached."
             return _none(unit, f"The {what} has no derivative by {name} here: {why}")
-        values.append(told[0])
-        noises.append(told[1])
+        values.append(length[0])
+        noises.append(length[1])
         warned += bool(other.warnings)
     far, near = (values[3] - values[0]) / (2 * width), (values[2] - values[1]) / width
     noise = CONFIDENCE * np.hypot(noises[1], noises[2]) / width
@@ -151,7 +151,7 @@ def _along(life: WearLife, values: Any, most: int) -> WearLife:
     return lived(rates, life.asked, life.accuracy, None, life.lengths)
 
 
-def _told(life: WearLife, quantity: str, limit: float | None) -> tuple[float, float]:
+def _length_and_noise(life: WearLife, quantity: str, limit: float | None) -> tuple[float, float]:
     """(what is differentiated, what noise leaves of it as a standard deviation)."""
     at = float(life.cycles[-1])
     value = life.at_end(quantity)

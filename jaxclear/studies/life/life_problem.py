@@ -35,23 +35,21 @@ from jaxclear.studies.experiment import (
     derived,
 )
 from jaxclear.studies.life.cycle import (
-    asked_of,
     check_cycle,
     check_cycles,
+    cycle_request,
     first_state,
     kind_of_cycle,
 )
 from jaxclear.studies.life.rates import Rates
 from jaxclear.studies.life.result import CONFIDENCE, DEPTH, VOLUME, WearLife
 from jaxclear.studies.life.settling import Patience
-from jaxclear.studies.life.wear_life import SETTLED, check_asked, lived
+from jaxclear.studies.life.wear_life import SETTLED, check_wear_problem, lived
 from jaxclear.studies.problem import Problem
 from jaxclear.studies.responses import answer, by_name, check_responses
 
 # From which part of a cycle what every life tells of is drawn.
 DRAWN_FROM = {DEPTH: "worn depth", VOLUME: "wear"}
-# The rate at which a life goes on is that over its last part, this share of it.
-LAST = 0.1
 # A life that is to reach a limit is lived so much longer than its last rate says it takes, and so
 # often anew: rates fall as contacts widen. One that takes more than so many times what its first
 # rate says is taken to end nowhere: wear that dies away would be followed for ever.
@@ -100,7 +98,7 @@ class AbstractLifeResponse(AbstractQuantified):
         """
         of_cycle = problem.description.responses.get(self.name)
         part = DRAWN_FROM[DEPTH if of_cycle else self.name.partition(" ")[0]]
-        reached = {own for own in PARTS if part in REACHES.get(own, (own,))}
+        reached = {source for source in PARTS if part in REACHES.get(source, (source,))}
         return frozenset(reached) | (of_cycle.depends_on if of_cycle else frozenset())
 
     def check(self, units: dict[str, str]) -> None:
@@ -134,13 +132,13 @@ class LifeUntil(AbstractLifeResponse):
         _check_quantity("LifeUntil", self.name, self.sure)
 
     def __call__(self, life):
-        found = life.until(self.name, float(self.limit))
-        if not np.isfinite(found.cycles):
+        length = life.until(self.name, float(self.limit))
+        if not np.isfinite(length.cycles):
             # Of a life that ended by a failed cycle nobody knows.
             return np.nan if life.ended else self._outlived(life)
         if not self.sure:
-            return found.cycles
-        return max(found.cycles - found.error, 0.0)
+            return length.cycles
+        return max(length.cycles - length.error, 0.0)
 
     def _outlived(self, life: WearLife) -> float:
         """Of a life in which the limit is not reached: infinite, unless it is to be sure and the
@@ -161,10 +159,7 @@ class LifeUntil(AbstractLifeResponse):
     def ahead(self, life):
         if np.isfinite(life.until(self.name, float(self.limit)).cycles):
             return 0.0
-        last = float(life.cycles[-1])
-        before, now = life.over_life(self.name, [(1.0 - LAST) * last, last])
-        more = (float(self.limit) - now) / (now - before) if now != before else np.inf
-        return LAST * last * more if more > 0 else np.inf
+        return life.cycles_ahead(self.name, float(self.limit))
 
 
 def _error_at_end(life: WearLife, name: str, value: float) -> float:
@@ -202,8 +197,8 @@ class LifeExperiment(AbstractExperiment):
         self.cycles = None if cycles is None else float(cycles)
         self.accuracy, self.most = float(accuracy), most
         self.response_names = tuple(response)
-        for own in self._own().values():
-            own.check(self._quantities())
+        for function in self._life_responses().values():
+            function.check(self._quantities())
         others = [name for name in self.response_names if not self._decides(name)]
         if self.cycles is None and others:
             raise ValueError(
@@ -218,20 +213,20 @@ class LifeExperiment(AbstractExperiment):
     def life(self, values: Any) -> WearLife:
         """The life of one set of values. Raises `SimulationError` where it has no first cycle, and
         `ValueError` for values that make no machine."""
-        wanted = [own for own in self._own().values() if own.decides_length()]
-        if self.cycles is not None and len(wanted) < len(self.response):
+        deciding = [f for f in self._life_responses().values() if f.decides_length()]
+        if self.cycles is not None and len(deciding) < len(self.response):
             return self._lived(values, self.cycles)
         longest = np.inf if self.cycles is None else self.cycles
         # What a cycle wears says how long to live.
         cycles, most = min(1.0, longest), np.inf
         life = self._lived(values, cycles)
         for tried in range(TRIES):
-            aheads = found = [own.ahead(life) for own in wanted]
+            aheads = lengths = [f.ahead(life) for f in deciding]
             if self.cycles is None:
                 # A limit that is never reached keeps no other from being reached.
-                aheads = [own for own in aheads if cycles + own < most]
+                aheads = [length for length in aheads if cycles + length < most]
             ahead = max(aheads, default=0.0)
-            if self.cycles is None and not tried and not all(np.isfinite(own) for own in found):
+            if self.cycles is None and not tried and not np.all(np.isfinite(lengths)):
                 # A first cycle alone does not say that a limit is never reached.
                 ahead = max(ahead, LONGEST)
             elif ahead > 0:
@@ -258,16 +253,16 @@ class LifeExperiment(AbstractExperiment):
             return self._failed(Outcome.NOT_FINITE)
         except ValueError:
             return self._failed(self._impossible(values))
-        found = {name: np.asarray(answer(name, own, life)) for name, own in self.response.items()}
+        answers = {name: np.asarray(answer(name, f, life)) for name, f in self.response.items()}
         # One with a length asked for is of no use before its end to what is asked of that.
-        whole = not life.ended or all(self._decides(name) for name in self.response_names)
+        is_complete = not life.ended or all(self._decides(name) for name in self.response_names)
         finite = [
-            not np.isnan(own) if self._decides(name) else np.isfinite(own)
-            for name, own in found.items()
+            not np.isnan(value) if self._decides(name) else np.isfinite(value)
+            for name, value in answers.items()
         ]
-        outcome = Outcome.REACHED if whole and all(finite) else Outcome.NOT_FINITE
+        outcome = Outcome.REACHED if is_complete and all(finite) else Outcome.NOT_FINITE
         ended = np.asarray(life.cycles[-1])
-        return SampleResult(found, np.asarray(int(outcome)), ended, life.checks)
+        return SampleResult(answers, np.asarray(int(outcome)), ended, life.checks)
 
     def cost(self):
         return Cost(self.problem.cost().memory, 1, compiled=False)
@@ -281,13 +276,13 @@ class LifeExperiment(AbstractExperiment):
             "the life ended after {ended:.4g} cycles without telling what is asked. Rerun it and "
             "print the life to see what ended it."
         )
-        endings = {own: early for own in Outcome if own.began} | {
+        endings = {outcome: early for outcome in Outcome if outcome.began} | {
             Outcome.REACHED: "the life tells what is asked of it.",
             Outcome.OUT_OF_RANGE: "these numbers make no machine that wears.",
         }
         return Description(
             "LifeProblem",
-            {name: self._known_of(name) for name in self.response_names},
+            {name: self._response_info(name) for name in self.response_names},
             endings,
             remark=self.problem.description.remark,
             derivative=(
@@ -296,12 +291,12 @@ class LifeExperiment(AbstractExperiment):
             ),
         )
 
-    def _known_of(self, name: str) -> ResponseInfo:
-        own = self._own().get(name)
-        if own is None:
+    def _response_info(self, name: str) -> ResponseInfo:
+        response = self._life_responses().get(name)
+        if response is None:
             return ResponseInfo()
-        unit, parts = own.unit_among(self._quantities()), own.depends_on(self.problem)
-        if not own.decides_length():
+        unit, parts = response.unit_among(self._quantities()), response.depends_on(self.problem)
+        if not response.decides_length():
             return ResponseInfo(unit, parts)
         if self.cycles is None:
             far = f"its limit is forecast beyond {LONGEST:g} times what the first cycles say"
@@ -311,28 +306,28 @@ class LifeExperiment(AbstractExperiment):
 
     def parts(self):
         # By the names with which folders were written.
-        told = {"response": "response", "cycles": "cycles", "tolerance": "accuracy", "most": "most"}
-        own = {f"{name} of lives": getattr(self, what) for name, what in told.items()}
-        return self.problem.experiment.parts() | own
+        keys = {"response": "response", "cycles": "cycles", "tolerance": "accuracy", "most": "most"}
+        settings = {f"{name} of lives": getattr(self, what) for name, what in keys.items()}
+        return self.problem.experiment.parts() | settings
 
-    def _own(self) -> dict[str, AbstractLifeResponse]:
+    def _life_responses(self) -> dict[str, AbstractLifeResponse]:
         """Responses that are of this package's own kind."""
-        found = self.response.items()
-        return {name: own for name, own in found if isinstance(own, AbstractLifeResponse)}
+        items = self.response.items()
+        return {name: f for name, f in items if isinstance(f, AbstractLifeResponse)}
 
     def _decides(self, response: str) -> bool:
         """Whether a response says by itself how long a life is."""
-        own = self._own().get(response)
-        return own is not None and own.decides_length()
+        declared = self._life_responses().get(response)
+        return declared is not None and declared.decides_length()
 
     def _quantities(self) -> dict[str, str]:
         """Unit of all that a life tells of."""
-        found = {DEPTH: "m", VOLUME: "m^3"} | self.problem.units()
-        for joint, own in wearing_in(self.problem.mechanism).items():
-            for surface in own.maps():
-                found[f"{DEPTH} {joint} {surface}"] = "m"
-                found[f"{VOLUME} {joint} {surface}"] = "m^3"
-        return found
+        units = {DEPTH: "m", VOLUME: "m^3"} | self.problem.units()
+        for joint, surfaces in wearing_in(self.problem.mechanism).items():
+            for surface in surfaces.maps():
+                units[f"{DEPTH} {joint} {surface}"] = "m"
+                units[f"{VOLUME} {joint} {surface}"] = "m^3"
+        return units
 
     def _impossible(self, values: Any) -> Outcome:
         """Why a set of values makes no machine that lives."""
@@ -355,8 +350,8 @@ class LifeExperiment(AbstractExperiment):
         """A sample without a life, of the same shape as others."""
         nothing: dict[str, Any] = dict.fromkeys(self.response_names, np.asarray(np.nan))
         nominal = self.problem.nominal()
-        asked, begun = asked_of(self.problem, nominal), first_state(self.problem, nominal)
-        checks: Checks = kind_of_cycle(asked, *begun).checks
+        request, start = cycle_request(self.problem, nominal), first_state(self.problem, nominal)
+        checks: Checks = kind_of_cycle(request, *start).checks
         none = jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), checks)
         how: Any = np.asarray(int(outcome))
         ended: Any = np.zeros(())
@@ -394,12 +389,12 @@ def LifeProblem(
         ValueError: with a sentence for what cannot be asked.
     """
     check_cycle("the problem of a LifeProblem", problem)
-    check_asked(problem)
+    check_wear_problem(problem)
     if cycles is not None:
         check_cycles("a LifeProblem", cycles)
     check_number("accuracy of a LifeProblem", accuracy, above=0)
     check_count("most of a LifeProblem", most)
-    wanted = by_name("response", response)
-    check_responses(wanted, problem.variables, "a life")
-    lives = LifeExperiment(problem, wanted, cycles, accuracy, most)
+    responses = by_name("response", response)
+    check_responses(responses, problem.variables, "a life")
+    lives = LifeExperiment(problem, responses, cycles, accuracy, most)
     return problem.with_experiment(lives)

@@ -22,8 +22,8 @@ from jaxclear.results.state_history import SavedMotion
 from jaxclear.simulation.wear import Worn
 from jaxclear.studies.life.cycle import (
     Cycle,
-    asked_of,
     cycle,
+    cycle_request,
     first_state,
     kind_of_cycle,
     worn_by_cycles,
@@ -47,14 +47,14 @@ class Rates:
 
     def __init__(self, problem: Problem, values: Any, patience: Patience):
         self.problem, self.patience, self.store = problem, patience, CURRENT.get()
-        self.asked = asked_of(problem, values)
+        self.request = cycle_request(problem, values)
         self.motion, self.worn = first_state(problem, values)
         depth, self.unflat = flattened(self.worn)
         self.cells = _cells(problem, self.worn)
         self.count = len(depth)
         self.first_row = np.concatenate([depth, np.zeros(len(self.cells.surfaces))])
-        seen = problem.integrator.formulation.seen(problem.mechanism)
-        self.units = units_of_coordinates(seen)
+        modelled = problem.integrator.formulation.seen(problem.mechanism)
+        self.units = units_of_coordinates(modelled)
         self.places: list[Place] = []
         self.settlings: list[Settling] = []
         self.simulated = 0
@@ -62,7 +62,7 @@ class Rates:
         self.kind: Any = None
         if self.store is not None:
             self.question = compute_address(in_texts(problem), np.asarray(values))
-            self.kind = kind_of_cycle(self.asked, self.motion, self.worn)
+            self.kind = kind_of_cycle(self.request, self.motion, self.worn)
 
     def evaluate(self, row: np.ndarray, set_down: bool = False) -> Rate:
         """What a cycle wears on surfaces of these depths; not the one in which the machine is
@@ -71,27 +71,27 @@ class Rates:
         self._refuse_worn_through(depth)
         begin = predicted(self.places, depth, self.units) if self.places else self.motion
         least = 2 if set_down else 1
-        found = settle(self._cycle, begin, self.unflat(depth), self.patience, least=least)
-        if found.last.fault:
-            raise CycleFailed(found.last.fault)
-        if not found.periodic:
+        result = settle(self._cycle, begin, self.unflat(depth), self.patience, least=least)
+        if result.last.fault:
+            raise CycleFailed(result.last.fault)
+        if not result.periodic:
             # States of a motion that does not settle follow no line.
             self.places.clear()
-        self.places.append(Place(depth, found.last.end))
-        self.settlings.append(found)
-        wear = self._row(found.wear, found.lost)
-        return Rate(wear, self._row(found.noise, found.noise_of_lost), len(found.cycles), found)
+        self.places.append(Place(depth, result.last.end))
+        self.settlings.append(result)
+        wear = self._row(result.wear, result.volumes)
+        return Rate(wear, self._row(result.noise, result.volume_noise), len(result.cycles), result)
 
     def _refuse_worn_through(self, depth: np.ndarray) -> None:
         """Raises `CycleFailed` where nothing is left of a surface of this depth."""
         wearing = wearing_in(self.problem.mechanism)
         for joint, surfaces in self.unflat(depth).items():
-            for surface, own in surfaces.items():
+            for surface, worn_depth in surfaces.items():
                 thickness = float(wearing[joint].maps()[surface][0].thickness)
-                if float(own.max()) >= thickness:
+                if float(worn_depth.max()) >= thickness:
                     raise CycleFailed(
-                        f'Worn through: the {surface} of "{joint}" is {float(own.max()):.4g} m '
-                        f"deep, of a radius of {thickness:.4g} m."
+                        f'Worn through: the {surface} of "{joint}" is '
+                        f"{float(worn_depth.max()):.4g} m deep, of a radius of {thickness:.4g} m."
                     )
 
     def carry(self, row: np.ndarray, losses: Losses, parts: int) -> np.ndarray:
@@ -105,9 +105,9 @@ class Rates:
         # One program for many numbers of cycles.
         cycles += [(0.0, cycles[0][1])] * (2 ** (len(cycles) - 1).bit_length() - len(cycles))
         lengths = np.array([length for length, _ in cycles])
-        stacked = jax.tree.map(lambda *rows: np.stack(rows), *(lost for _, lost in cycles))
-        given = self.unflat(row[: self.count]), stacked, lengths, np.asarray(parts)
-        worn = worn_by_cycles(self.asked, *given)
+        stacked = jax.tree.map(lambda *rows: np.stack(rows), *(loss for _, loss in cycles))
+        arguments = self.unflat(row[: self.count]), stacked, lengths, np.asarray(parts)
+        worn = worn_by_cycles(self.request, *arguments)
         means: Any = sum(length * self.cells.means(rate.wear) for length, rate in losses)
         return np.concatenate([flattened(worn)[0], self.cells.means(row) + means])
 
@@ -117,13 +117,13 @@ class Rates:
         taken = rate.settled.taken
         if rate.settled.periodic or len(taken) < 2:
             return None
-        middle, lost = len(taken) // 2, rate.settled.lost
-        former, latter = _as_much(taken[:middle], lost), _as_much(taken[middle:], lost)
+        middle, losses = len(taken) // 2, rate.settled.volumes
+        former, latter = _as_much(taken[:middle], losses), _as_much(taken[middle:], losses)
         return rate._replace(settled=former), rate._replace(settled=latter)
 
     def _row(self, depths: Worn, volumes: Worn) -> np.ndarray:
         """Depths of all cells, and behind them those of each surface as its volume has it."""
-        return np.concatenate([flattened(depths)[0], flattened(volumes)[0] / self.cells.whole])
+        return np.concatenate([flattened(depths)[0], flattened(volumes)[0] / self.cells.full_areas])
 
     def checks(self) -> Checks:
         """The worst of every figure over all cycles that were taken as the motion. How wide scars
@@ -140,10 +140,10 @@ class Rates:
         store = self.store
 
         def compute() -> Cycle:
-            found, self.last_run = cycle(self.asked, motion, worn)
+            result, self.last_run = cycle(self.request, motion, worn)
             if store is not None:
-                store.write(address, as_arrays(found))
-            return found
+                store.write(address, as_arrays(result))
+            return result
 
         if store is None:
             return compute()
@@ -163,17 +163,17 @@ class Half(NamedTuple):
     taken: tuple[Cycle, ...]
 
 
-def _as_much(half: Sequence[Cycle], lost: Worn) -> Half:
+def _as_much(half: Sequence[Cycle], losses_now: Worn) -> Half:
     """These cycles with as much lost by each surface as a mean over them all."""
-    found = []
+    scaled = []
     for one in half:
         losses = dict(one.losses)
         for (joint, surface), (volumes, places) in one.losses.items():
-            own = np.mean([float(each.lost[joint][surface]) for each in half])
-            share = lost[joint][surface] / own if own > 0 else 1.0
+            mean = np.mean([float(each.volumes[joint][surface]) for each in half])
+            share = losses_now[joint][surface] / mean if mean > 0 else 1.0
             losses[joint, surface] = share * volumes, places
-        found.append(dataclasses.replace(one, losses=losses))
-    return Half(tuple(found))
+        scaled.append(dataclasses.replace(one, losses=losses))
+    return Half(tuple(scaled))
 
 
 def _cells(problem: Problem, worn: Worn) -> Cells:
@@ -183,9 +183,9 @@ def _cells(problem: Problem, worn: Worn) -> Cells:
         joint: {s: np.asarray(wearing[joint].maps()[s][0].areas()) for s in surfaces}
         for joint, surfaces in worn.items()
     }
-    rows = [own.ravel() for own in jax.tree.leaves(areas)]
-    ends = np.cumsum([own.size for own in rows])
-    parts = tuple(slice(int(end - own.size), int(end)) for own, end in zip(rows, ends, strict=True))
+    rows = [a.ravel() for a in jax.tree.leaves(areas)]
+    ends = np.cumsum([a.size for a in rows])
+    parts = tuple(slice(int(end - a.size), int(end)) for a, end in zip(rows, ends, strict=True))
     return Cells(parts, np.concatenate(rows))
 
 
@@ -212,8 +212,8 @@ def predicted(places: Sequence[Place], depth: np.ndarray, units: tuple[str, ...]
     before = next((p for p in places[-2::-1] if np.any(p.depth != places[-1].depth)), None)
     if before is None:
         return last
-    way = places[-1].depth - before.depth
-    share = float(np.dot(depth - places[-1].depth, way) / np.dot(way, way))
+    change = places[-1].depth - before.depth
+    share = float(np.dot(depth - places[-1].depth, change) / np.dot(change, change))
     share = float(np.clip(share, -FURTHEST, FURTHEST))
     coordinates = np.asarray(last.coordinates - before.motion.coordinates)
     turns = np.array([unit == "rad" for unit in units])

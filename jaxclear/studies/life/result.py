@@ -30,6 +30,9 @@ LOOKS = 64
 # The slope of a response is taken over twice this share of the way between two stages.
 SLOPE_OVER = 1e-3
 DEPTH, VOLUME = "depth", "volume"
+# The rate at which a life goes on is that over its last part, this share of it.
+LAST = 0.1
+HOUR = 3600.0
 TINY = np.finfo(float).tiny
 
 
@@ -116,7 +119,7 @@ class WearLife(AbstractAnswer):
         shares = []
         for stage in self.stages:
             other = np.concatenate(
-                [np.ravel(own) for own in jax.tree.leaves(stage.settled.by_saves)]
+                [np.ravel(leaf) for leaf in jax.tree.leaves(stage.settled.by_saves)]
             )
             sizes = self.cells.sizes(other), self.cells.sizes(stage.node.rate.wear)
             shares.append(float(self.cells.shares(*sizes).max(initial=0.0)))
@@ -130,9 +133,9 @@ class WearLife(AbstractAnswer):
     def _errors(self, which: int) -> np.ndarray:
         """Of the depths (0) or of the volumes (1)."""
         first = self.stages[0].node
-        found = [node.errors(self.cells, first)[which] for node, _ in self.stages]
+        errors = [node.errors(self.cells, first)[which] for node, _ in self.stages]
         of_cells = 0.0 if which or self.by_cells is None else self.by_cells
-        return np.array([float(own.max(initial=0.0)) for own in found]) + of_cells
+        return np.array([float(error.max(initial=0.0)) for error in errors]) + of_cells
 
     @property
     def error(self) -> float:
@@ -143,11 +146,11 @@ class WearLife(AbstractAnswer):
     def quantities(self) -> dict[str, str]:
         """What a life tells of, with its unit: the largest depth and the whole volume lost, those
         of each surface, and the responses."""
-        own = {}
+        quantities = {}
         for joint, surface in self.surfaces:
-            own[f"{DEPTH} {joint} {surface}"] = "m"
-            own[f"{VOLUME} {joint} {surface}"] = "m^3"
-        return {DEPTH: "m", VOLUME: "m^3"} | own | self.problem.units()
+            quantities[f"{DEPTH} {joint} {surface}"] = "m"
+            quantities[f"{VOLUME} {joint} {surface}"] = "m^3"
+        return {DEPTH: "m", VOLUME: "m^3"} | quantities | self.problem.units()
 
     def over_life(self, name: str, cycles: Any = None) -> np.ndarray:
         """A quantity at the stages, or after so many `cycles`."""
@@ -184,12 +187,38 @@ class WearLife(AbstractAnswer):
         function = self._function(name)
         at = first_crossing(function, self.cycles, float(limit))
         if at is None:
-            value = function(last)
-            sentence = f"The {name} is {value:.4g} {unit} after {last:.4g} cycles, not {limit:.4g}."
-            return Lifetime(np.inf, np.nan, f"{sentence} {self.ended}".rstrip())
+            sentence = (
+                f"The {name} is {function(last):.4g} {unit} after {last:.4g} cycles and does not "
+                f"reach {limit:.4g}"
+            )
+            far = last + self.cycles_ahead(name, float(limit))
+            if np.isfinite(far) and not self.ended:
+                sentence += f"; at its last rate it would after about {self._time(far, 2)}"
+            return Lifetime(np.inf, np.nan, f"{sentence}. {self.ended}".rstrip())
         error = self._shift(name, at)
-        told = f"The {name} reaches {limit:.4g} {unit} after {at:.4g} ± {error:.1g} cycles."
-        return Lifetime(at, error, told)
+        reached = f"The {name} reaches {limit:.4g} {unit} after "
+        return Lifetime(at, error, f"{reached}{self._time(at, 4, f' ± {error:.1g}')}.")
+
+    def _time(self, cycles: float, digits: int, error: str = "") -> str:
+        """Cycles in words, with their time at the frequency of the machine."""
+        period = float(self.problem.duration)
+        hours = cycles * period / HOUR
+        return f"{cycles:.{digits}g}{error} cycles ({hours:.{digits}g} h at {1 / period:.4g} Hz)"
+
+    def cycles_ahead(self, name: str, limit: float) -> float:
+        """Cycles that a quantity takes from the end to a limit at its last rate.
+
+        Args:
+            name: name of the quantity.
+            limit: the value [unit of the quantity].
+
+        Returns:
+            The number of cycles; infinite where it never gets there.
+        """
+        last = float(self.cycles[-1])
+        before, now = self.over_life(name, [(1.0 - LAST) * last, last])
+        ahead = LAST * last * (limit - now) / (now - before) if now != before else np.inf
+        return float(ahead) if ahead > 0 else np.inf
 
     def _shift(self, name: str, at: float) -> float:
         """By how many cycles errors may shift the time at which a quantity has its value."""
@@ -208,8 +237,8 @@ class WearLife(AbstractAnswer):
         slope = abs(function(high) - function(low)) / (high - low)
         means, noise = np.array([stage.settled.responses()[name] for stage in self.stages]).T
         curved = abs(function(at) - float(np.interp(at, self.cycles, means)))
-        own = CONFIDENCE * _around(at, self.cycles, noise) + curved
-        return float(np.hypot(shift, own / slope)) if slope > 0 else np.inf
+        error_of_length = CONFIDENCE * _around(at, self.cycles, noise) + curved
+        return float(np.hypot(shift, error_of_length / slope)) if slope > 0 else np.inf
 
     def _function(self, name: str) -> Callable[[float], float]:
         """A quantity over cycles."""
@@ -219,12 +248,12 @@ class WearLife(AbstractAnswer):
             return lambda at: float(curve(at))
         kind, _, surface = name.partition(" ")
         row, places = self._row_at(), self.surfaces
-        own = [i for i, place in enumerate(places) if surface in ("", " ".join(place))]
+        indices = [i for i, place in enumerate(places) if surface in ("", " ".join(place))]
         if kind == DEPTH:
-            readers = [(self.cells.surfaces[i], self._deepest(*places[i])) for i in own]
+            readers = [(self.cells.surfaces[i], self._deepest(*places[i])) for i in indices]
             return lambda at: max(float(read(row(at)[part])) for part, read in readers)
-        areas = self.cells.whole[own]
-        return lambda at: float(np.dot(areas, self.cells.means(row(at))[own]))
+        areas = self.cells.full_areas[indices]
+        return lambda at: float(np.dot(areas, self.cells.means(row(at))[indices]))
 
     def _deepest(self, joint: str, surface: str) -> Callable[[np.ndarray], Any]:
         """The depth of the deepest place of a surface, of the cells in a row."""
@@ -245,10 +274,10 @@ class WearLife(AbstractAnswer):
         volumes = CubicHermiteSpline(self.cycles, means, rates)
         rows = np.array([nodes[0].depth, *(row for node in nodes[1:] for row in node.path)])
         shapes = []
-        for i, own in enumerate(cells.surfaces):
+        for i, surface in enumerate(cells.surfaces):
             reached = rows[:, len(cells.areas) + i]
             new = np.flatnonzero(np.diff(reached, prepend=-np.inf) > 0)
-            shapes.append((_monotone(reached[new], rows[new, own]), reached[new[[0, -1]]]))
+            shapes.append((_monotone(reached[new], rows[new, surface]), reached[new[[0, -1]]]))
 
         def row(at: float) -> np.ndarray:
             mean = volumes(at)
@@ -269,8 +298,9 @@ class WearLife(AbstractAnswer):
         reached, deepest = float(self.cycles[-1]), self.at_end(DEPTH)
         back = f", {self.rejected} steps taken back" if self.rejected else ""
         text = f"{reached:.4g} cycles of machine life from {self.simulated} simulated ones{back}: "
-        known = [100 * own for own in (self.error, self.errors_of_volume[-1])]
-        text += f"{deepest:.4g} m deep, known to {known[0]:.2g} %, the volume to {known[1]:.2g} %."
+        percents = [100 * error for error in (self.error, self.errors_of_volume[-1])]
+        text += f"{deepest:.4g} m deep, known to {percents[0]:.2g} %, "
+        text += f"the volume to {percents[1]:.2g} %."
         text += " That of cells is not in it: verify=True." if self.by_cells is None else ""
         if self.ended:
             early = f"The life ended before its {self.asked:.4g} cycles: {self.ended}"
@@ -298,9 +328,9 @@ class WearLife(AbstractAnswer):
 
     def concerned(self, response: str) -> bool:
         """Whether a warning concerns this response."""
-        wanted = self.problem.response[response]
+        function = self.problem.response[response]
         return any(
-            worst > check.limit and concerned(wanted, check.concerns)
+            worst > check.limit and concerned(function, check.concerns)
             for check, worst, _, _ in self.checks.rows()
         )
 
@@ -308,11 +338,11 @@ class WearLife(AbstractAnswer):
         over, responses = ("cycles",), self.problem.response_names
         columns = {"cycles": Column(over, self.cycles)}
         for name, unit in self.quantities.items():
-            own = Column(over, self.over_life(name), unit, label=with_unit(name, unit))
+            column = Column(over, self.over_life(name), unit, label=with_unit(name, unit))
             if name in responses:
                 scatter = [stage.settled.responses()[name][1] for stage in self.stages]
-                own = own._replace(error=scatter)
-            columns[name] = own
+                column = column._replace(error=scatter)
+            columns[name] = column
         columns |= {
             "error of depth": Column(over, self.errors, "1"),
             "error of volume": Column(over, self.errors_of_volume, "1"),
@@ -323,8 +353,8 @@ class WearLife(AbstractAnswer):
             dims = ("cycles", f"{joint}.{surface}.around", f"{joint}.{surface}.along")
             maps = [self.worn(at)[joint][surface] for at in self.cycles]
             columns[f"{joint}.{surface}.worn"] = Column(dims, np.stack(maps), "m")
-        told = self.checks.attributes()
-        return Stated("wear life", columns, self.problem, self.warnings, told, labelled=False)
+        attributes = self.checks.attributes()
+        return Stated("wear life", columns, self.problem, self.warnings, attributes, labelled=False)
 
 
 def _around(at: float, cycles: np.ndarray, errors: np.ndarray) -> float:

@@ -19,9 +19,9 @@ from jaxclear.studies.answer import AbstractAnswer, Column, Stated, with_unit
 from jaxclear.studies.life.cycle import (
     as_problem,
     as_state,
-    asked_of,
     check_period,
     cycle,
+    cycle_request,
     first_state,
     restless,
     worst_of,
@@ -90,17 +90,17 @@ class Settled(AbstractAnswer):
         last, period = self.settling.last, float(self.problem.duration)
         if last.fault:
             return f"Cycle {self.cycles}: {last.fault}"
-        told = f"{last.worst} is {last.distance:.2g} from where it was a cycle before"
+        reason = f"{last.worst} is {last.distance:.2g} from where it was a cycle before"
         limit = f"(tolerance {self.tolerance:.2g})"
         if self.periodic:
             count = f"{self.cycles} cycle{'' if self.cycles == 1 else 's'} of {period:.6g} s"
-            return f"Periodic after {count}: {told} {limit}."
-        text = f"Not periodic after {self.cycles} cycles of {period:.6g} s: {told} {limit}."
+            return f"Periodic after {count}: {reason} {limit}."
+        text = f"Not periodic after {self.cycles} cycles of {period:.6g} s: {reason} {limit}."
         means = f"{text} Means are over the last {self.settling.measured} cycles"
-        lost = np.array([total(one) for one in self.settling.taken])
-        if not lost.any():
+        volumes = np.array([total(one) for one in self.settling.taken])
+        if not volumes.any():
             return f"{means}."
-        error = correlation_factor(lost) * standard_error(lost) / lost.mean()
+        error = correlation_factor(volumes) * standard_error(volumes) / volumes.mean()
         return f"{means}; the volume worn in a cycle is known to {100 * error:.2g} % (one sigma)."
 
     def _shown(self):
@@ -117,14 +117,14 @@ class Settled(AbstractAnswer):
             "most": Column(over, each(lambda one: one.worst)),
             "taken": Column(over, [number > first for number in every]),
         }
-        worn = [(j, s) for one in every.values() for j, own in one.lost.items() for s in own]
+        worn = [(j, s) for one in every.values() for j, names in one.volumes.items() for s in names]
         for joint, surface in dict.fromkeys(worn):
-            lost = each(lambda one, j=joint, s=surface: float(one.lost[j][s]))
+            volumes = each(lambda one, j=joint, s=surface: float(one.volumes[j][s]))
             name = f"{joint} {surface}"
-            columns[name] = Column(over, lost, "m^3", label=with_unit(name, "m^3"))
+            columns[name] = Column(over, volumes, "m^3", label=with_unit(name, "m^3"))
         for name in self.problem.response_names:
-            own = each(lambda one, name=name: float(one.responses[name]))
-            columns[name] = Column(over, own, units[name], label=with_unit(name, units[name]))
+            values = each(lambda one, name=name: float(one.responses[name]))
+            columns[name] = Column(over, values, units[name], label=with_unit(name, units[name]))
         warnings = self.warnings
         return Stated("settled cycle", columns, self.problem, warnings, labelled=False)
 
@@ -171,24 +171,24 @@ def settled(
     check_flags("settled", progress_bar=progress_bar, throw=throw)
     values = problem.nominal()
     begin, worn = first_state(problem, values)
-    needed = asked_of(problem, values)
+    needed = cycle_request(problem, values)
     check_period("settled", problem, float(begin.time), cycles)
     runs: list[Trajectory] = []
 
     def one(motion, surfaces):
-        kept, run = cycle(needed, motion, surfaces)
+        result, run = cycle(needed, motion, surfaces)
         runs[:] = [run]
         progress.advance(1 / cycles)
-        return kept
+        return result
 
     with progress.bar(progress_bar, "settling"):
         ready = lambda c: not restless(problem, float(c.end.time) - float(problem.duration))
-        found = settle(one, begin, worn, Patience(tolerance, 1.0, cycles), ready)
+        settling = settle(one, begin, worn, Patience(tolerance, 1.0, cycles), ready)
     run = eqx.tree_at(lambda r: r.history.mechanism, runs[0], problem.seen(problem.setting(values)))
-    result = Settled(problem, found, run, worn, tolerance)
-    if found.last.fault:
+    result = Settled(problem, settling, run, worn, tolerance)
+    if settling.last.fault:
         if throw:
             raise SimulationError(result.sentence(), runs[0])
         return result
-    check_period("settled", problem, float(found.last.end.time) - float(problem.duration))
+    check_period("settled", problem, float(settling.last.end.time) - float(problem.duration))
     return result

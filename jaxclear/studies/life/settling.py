@@ -70,14 +70,14 @@ class Settling(NamedTuple):
         )
 
     @property
-    def lost(self) -> Worn:
+    def volumes(self) -> Worn:
         """Volume [m3] that a cycle takes, by joint and surface."""
-        return _means([c.lost for c in self.taken])
+        return _means([c.volumes for c in self.taken])
 
     @property
-    def noise_of_lost(self) -> Worn:
-        """Standard error of `lost` [m3]."""
-        return self._errors([c.lost for c in self.taken])
+    def volume_noise(self) -> Worn:
+        """Standard error of `volumes` [m3]."""
+        return self._errors([c.volumes for c in self.taken])
 
     def _errors(self, of_cycles: list[Worn]) -> Worn:
         """Standard errors of means over the cycles taken, which are alike as their volumes are."""
@@ -87,17 +87,17 @@ class Settling(NamedTuple):
     @property
     def relative_noise(self) -> float:
         """Standard error of the volume that a cycle takes beside it, of the worst surface."""
-        shares = jax.tree.map(lambda e, v: e / max(v, TINY), self.noise_of_lost, self.lost)
+        shares = jax.tree.map(lambda e, v: e / max(v, TINY), self.volume_noise, self.volumes)
         return float(max(jax.tree.leaves(shares), default=0.0))
 
     def responses(self) -> dict[str, tuple[float, float]]:
         """Mean of each response over the cycles taken, and its standard error."""
-        found = {}
+        means = {}
         for name in self.last.responses:
-            own = np.array([c.responses[name] for c in self.taken])
-            error = correlation_factor(own) * float(standard_error(own))
-            found[name] = float(own.mean()), error
-        return found
+            values = np.array([c.responses[name] for c in self.taken])
+            error = correlation_factor(values) * float(standard_error(values))
+            means[name] = float(values.mean()), error
+        return means
 
 
 def _means(of_cycles: list[Worn]) -> Worn:
@@ -106,7 +106,7 @@ def _means(of_cycles: list[Worn]) -> Worn:
 
 def total(cycle: Cycle) -> float:
     """Volume [m3] lost in a cycle by all surfaces."""
-    return float(sum(jax.tree.leaves(cycle.lost)))
+    return float(sum(jax.tree.leaves(cycle.volumes)))
 
 
 def standard_error(values: np.ndarray) -> np.ndarray:
@@ -122,12 +122,12 @@ def correlation_factor(values: Any) -> float:
 
     Source: Box, Jenkins & Reinsel 2008, Time Series Analysis, 4th ed., chapter 2.
     """
-    apart = np.asarray(values) - np.mean(values)
-    spread = float(np.sum(apart * apart))
-    if len(apart) < 2 or spread == 0:
+    deviations = np.asarray(values) - np.mean(values)
+    spread = float(np.sum(deviations * deviations))
+    if len(deviations) < 2 or spread == 0:
         return 1.0
-    alike = min(max(float(np.sum(apart[1:] * apart[:-1])) / spread, 0.0), MOST_CORRELATED)
-    return float(np.sqrt((1 + alike) / (1 - alike)))
+    rho = min(max(float(np.sum(deviations[1:] * deviations[:-1])) / spread, 0.0), MOST_CORRELATED)
+    return float(np.sqrt((1 + rho) / (1 - rho)))
 
 
 def settle(
@@ -151,9 +151,9 @@ def settle(
         if len(cycles) >= least and one.distance <= patience.within and ready(one):
             return Settling(tuple(cycles), True, 1)
         # The first one falls into its place.
-        found = Settling(tuple(cycles), False, len(cycles) - 1)
-        known = found.measured >= FEWEST and found.relative_noise <= patience.noise
-        if known and patience.noise < 1 and ready(one):
-            return found
-    wanted = len(cycles) - 1 if patience.noise < 1 else len(cycles) // 2
-    return Settling(tuple(cycles), False, max(1, wanted))
+        settling = Settling(tuple(cycles), False, len(cycles) - 1)
+        is_measured = settling.measured >= FEWEST and settling.relative_noise <= patience.noise
+        if is_measured and patience.noise < 1 and ready(one):
+            return settling
+    mean_count = len(cycles) - 1 if patience.noise < 1 else len(cycles) // 2
+    return Settling(tuple(cycles), False, max(1, mean_count))

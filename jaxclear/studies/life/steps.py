@@ -41,7 +41,7 @@ OF_CUBE = OF_THIRD_ORDER / 48.0
 SMOOTH = 1 / 16
 OF_SCATTER = float(np.linalg.norm(WEIGHTS) / np.linalg.norm(ERRORS))
 # Once steps were found not to help, errors up to so many times the one found are told, not fought.
-TOLD = 2.0
+ACCEPTED_ERROR_RATIO = 2.0
 # A step aims at this share of the error allowed, and is at most so many times the one before.
 SAFETY, GROWTH, LEAST = 0.9, 5.0, 0.1
 # A step is at most this share of one that was taken back, which grows so many times a step.
@@ -58,7 +58,7 @@ MOST_FAILURES = 6
 PARTS, MOST_PARTS, OF_TOLERANCE = 8, 64, 0.1
 ORDERS = np.sqrt(2.0), 4.0
 # Where a step is looked at on its way: more often where a new wall wears fast.
-ON_THE_WAY = (4**-4, 4**-3, 4**-2, 4**-1, 9 / 16)
+FRACTIONS = (4**-4, 4**-3, 4**-2, 4**-1, 9 / 16)
 # A surface that wears less than this share of the one that wears most is judged beside that, and a
 # step that wears less than this share of what is worn so far.
 NEGLIGIBLE = 0.01
@@ -97,9 +97,9 @@ class Cells(NamedTuple):
     areas: np.ndarray
 
     @property
-    def whole(self) -> np.ndarray:
+    def full_areas(self) -> np.ndarray:
         """Area [m2] of each surface."""
-        return np.array([self.areas[own].sum() for own in self.surfaces])
+        return np.array([self.areas[surface].sum() for surface in self.surfaces])
 
     def means(self, row: np.ndarray) -> np.ndarray:
         """Mean depth of each surface, as its lost volume has it."""
@@ -108,12 +108,12 @@ class Cells(NamedTuple):
     def sizes(self, row: np.ndarray) -> np.ndarray:
         """Root mean square over the cells of each surface."""
         squares = self.areas * row[: len(self.areas)] ** 2
-        return np.sqrt([squares[own].sum() for own in self.surfaces] / self.whole)
+        return np.sqrt([squares[surface].sum() for surface in self.surfaces] / self.full_areas)
 
     def shares(self, errors: np.ndarray, of: np.ndarray) -> np.ndarray:
         """Errors of each surface as shares of something else of it."""
-        whole = np.maximum(np.abs(of), NEGLIGIBLE * np.abs(of).max(initial=0.0))
-        return np.divide(np.abs(errors), whole, out=np.zeros(len(whole)), where=whole > 0)
+        scale = np.maximum(np.abs(of), NEGLIGIBLE * np.abs(of).max(initial=0.0))
+        return np.divide(np.abs(errors), scale, out=np.zeros(len(scale)), where=scale > 0)
 
     def shape(self, row: np.ndarray, of: np.ndarray) -> np.ndarray:
         """What a row has beyond the shape of another one, as deep on the whole: of cells alone."""
@@ -122,7 +122,7 @@ class Cells(NamedTuple):
 
     def each(self, values: np.ndarray) -> np.ndarray:
         """A row that has at all cells of a surface, and at its mean, the value of that surface."""
-        counts = [own.stop - own.start for own in self.surfaces]
+        counts = [surface.stop - surface.start for surface in self.surfaces]
         return np.concatenate([np.repeat(values, counts), values])
 
 
@@ -214,17 +214,17 @@ def live(machine: Machine, start: Node, cycles: float, tolerance: float, first: 
     scatter, ceiling = 0.0, cycles
     trials: list[Trial] = []
     while cycles - nodes[-1].cycles > 1e-9 * cycles:
-        now, left = nodes[-1], cycles - nodes[-1].cycles
+        now, remaining = nodes[-1], cycles - nodes[-1].cycles
         # What wears nothing goes on so.
         if not (now.rate.wear.any() or now.rate.noise.any()):
-            length = ceiling = left
+            length = ceiling = remaining
         length = min(length, ceiling)
-        length = left / np.ceil(left / length - 1e-9)
+        length = remaining / np.ceil(remaining / length - 1e-9)
         try:
-            if min(length, left) <= len(STAGES) * now.rate.cost:
-                nodes.append(_one_by_one(machine, now, min(1.0, left)))
+            if min(length, remaining) <= len(STAGES) * now.rate.cost:
+                nodes.append(_one_by_one(machine, now, min(1.0, remaining)))
                 length, ceiling = max(length, 1.0) * GROWTH, ceiling * WIDENS
-                machine.hear(min(1.0, left) / cycles)
+                machine.hear(min(1.0, remaining) / cycles)
                 continue
             trial, error = _stepped(machine, nodes, length, tolerance)
         except CycleFailed as reason:
@@ -245,7 +245,7 @@ def live(machine: Machine, start: Node, cycles: float, tolerance: float, first: 
             machine.hear(length / cycles)
             ceiling *= WIDENS
             if error > tolerance:
-                scatter, ceiling = max(scatter, TOLD * error), cycles
+                scatter, ceiling = max(scatter, ACCEPTED_ERROR_RATIO * error), cycles
                 factor = max(1.0, refused[0] / length if refused else 1.0)
             refused = None
         length *= float(np.clip(factor, LEAST, GROWTH))
@@ -340,19 +340,19 @@ def _stepped(
     # Steps are chosen by what their length can mend.
     off = cells.shares(beyond, cells.sizes(so_far + grown))
     shape = np.copysign(np.hypot(shape, by_parts), shape)
-    lost = cells.means(grown)
-    known = cells.shares(cells.means(noise), lost)
-    shares = _beyond(cells.shares(cells.means(estimate), lost), known)
+    increments = cells.means(grown)
+    noise_shares = cells.shares(cells.means(noise), increments)
+    shares = _beyond(cells.shares(cells.means(estimate), increments), noise_shares)
     change = _change(cells, rates[0], rates[-1])
     smooth = np.minimum(shares, SMOOTH * change**2)
     most = _most(cells, length, rates)
-    error = np.minimum(smooth * OF_THIRD_ORDER * change, cells.shares(most, lost))
+    error = np.minimum(smooth * OF_THIRD_ORDER * change, cells.shares(most, increments))
     counts = _counts(cells, most, so_far)
-    told = (error + OF_SCATTER * (shares - smooth)) * counts + off
+    ratios = (error + OF_SCATTER * (shares - smooth)) * counts + off
     after = _after(machine, now, losses, depth, rates[-1], shape, parts)
-    after = after._replace(error=now.error + error * np.abs(lost))
-    trial = Trial(after, shares, known, SMOOTH * change**2, counts)
-    return trial, float(told.max(initial=0.0))
+    after = after._replace(error=now.error + error * np.abs(increments))
+    trial = Trial(after, shares, noise_shares, SMOOTH * change**2, counts)
+    return trial, float(ratios.max(initial=0.0))
 
 
 def _most(cells: Cells, length: float, rates: Sequence[Rate]) -> np.ndarray:
@@ -360,10 +360,10 @@ def _most(cells: Cells, length: float, rates: Sequence[Rate]) -> np.ndarray:
     return length * np.max([np.abs(cells.means(rate.wear)) for rate in rates], axis=0)
 
 
-def _counts(cells: Cells, lost: np.ndarray, so_far: np.ndarray) -> float:
-    """How much an error counts [1] that is a share of what a step loses, `lost` at the most: less
+def _counts(cells: Cells, losses: np.ndarray, so_far: np.ndarray) -> float:
+    """How much an error counts [1] that is a share of what a step loses, `losses` at the most: less
     where that is little beside what is worn so far, as of wear that comes to an end."""
-    share = cells.shares(lost, np.abs(cells.means(so_far)) + np.abs(lost)).max(initial=0.0)
+    share = cells.shares(losses, np.abs(cells.means(so_far)) + np.abs(losses)).max(initial=0.0)
     return float(min(share / NEGLIGIBLE, 1.0))
 
 
@@ -390,8 +390,8 @@ def _carried(
         last = np.linalg.norm(off)
         smaller = np.clip(np.linalg.norm(before) / last if last else np.inf, *ORDERS)
         off = off / (smaller - 1.0)
-        whole = cells.sizes(so_far + rows[-1] - row)
-        share = cells.shares(cells.sizes(off), whole).max(initial=0.0)
+        sizes = cells.sizes(so_far + rows[-1] - row)
+        share = cells.shares(cells.sizes(off), sizes).max(initial=0.0)
         if share <= OF_TOLERANCE * tolerance or parts >= MOST_PARTS:
             return rows[-1], parts, off
         parts *= 2
@@ -411,37 +411,37 @@ def _after(
     cells, cycles = machine.cells, sum(length for length, _ in losses)
     few = max(parts // 2, 1)
 
-    def forgotten(apart: np.ndarray) -> np.ndarray:
+    def forgotten(difference: np.ndarray) -> np.ndarray:
         """What the wall's law leaves of a difference in shape from before the step."""
-        if not apart.any():
-            return apart
+        if not difference.any():
+            return difference
         moved = now.depth.copy()
-        moved[: len(apart)] = np.maximum(moved[: len(apart)] + apart, 0.0)
+        moved[: len(difference)] = np.maximum(moved[: len(difference)] + difference, 0.0)
         ends = [machine.carry(row, losses, few) for row in (moved, now.depth)]
-        return (ends[0] - ends[1])[: len(apart)]
+        return (ends[0] - ends[1])[: len(difference)]
 
-    left, noise = forgotten(now.shape), forgotten(now.noise)
-    halves = [machine.halves(own) for _, own in losses]
+    remainder, noise = forgotten(now.shape), forgotten(now.noise)
+    halves = [machine.halves(rate) for _, rate in losses]
     if any(halves):
         ends = []
         for i in (0, 1):
             pairs = zip(losses, halves, strict=True)
-            some = [(length, half[i] if half else own) for (length, own), half in pairs]
+            some = [(length, half[i] if half else rate) for (length, rate), half in pairs]
             ends.append(machine.carry(now.depth, some, few))
-        own = 0.5 * (ends[0] - ends[1])[: len(noise)]
-        noise = np.copysign(np.hypot(own, noise), own)
-    spread = [length * cells.means(own.noise) for length, own in losses]
+        change = 0.5 * (ends[0] - ends[1])[: len(noise)]
+        noise = np.copysign(np.hypot(change, noise), change)
+    spread = [length * cells.means(rate.noise) for length, rate in losses]
     variance = now.variance + np.sum(np.square(spread), axis=0)
-    way = [[(share * length, own) for length, own in losses] for share in ON_THE_WAY]
+    paths = [[(share * length, rate) for length, rate in losses] for share in FRACTIONS]
     return Node(
         now.cycles + cycles,
         depth,
         rate,
         now.error,
         variance,
-        shape + left,
+        shape + remainder,
         noise,
-        (*(machine.carry(now.depth, some, parts) for some in way), depth),
+        (*(machine.carry(now.depth, some, parts) for some in paths), depth),
         parts,
     )
 
@@ -449,11 +449,11 @@ def _after(
 def _change(cells: Cells, one: Rate, other: Rate) -> float:
     """Relative change between the volumes of two rates, beyond their noise."""
     volumes = [cells.means(rate.wear) for rate in (one, other)]
-    less, more = sorted(np.abs(volumes), key=lambda own: float(own.max(initial=0.0)))
+    less, more = sorted(np.abs(volumes), key=lambda volume: float(volume.max(initial=0.0)))
     less = np.maximum(less, np.finfo(float).eps * more)
     noise = np.hypot(*(cells.means(rate.noise) for rate in (one, other)))
-    found = _beyond(cells.shares(volumes[1] - volumes[0], less), cells.shares(noise, less))
-    return float(found.max(initial=0.0))
+    change = _beyond(cells.shares(volumes[1] - volumes[0], less), cells.shares(noise, less))
+    return float(change.max(initial=0.0))
 
 
 def _beyond(sizes: np.ndarray, noise: np.ndarray) -> np.ndarray:
@@ -471,50 +471,50 @@ def _trusted(nodes: Sequence[Node], trials: Sequence[Trial], cells: Cells) -> tu
     from all steps that were tried, those taken back among them. Were they left out, steps whose
     rates lie by chance on a line would be kept and believed."""
     errors, scatter = _errors(nodes, trials, cells), _scatter(trials, len(cells.surfaces))
-    found, variance = [nodes[0]], np.zeros(len(cells.surfaces))
+    trusted, variance = [nodes[0]], np.zeros(len(cells.surfaces))
     for before, after, error in zip(nodes[:-1], nodes[1:], errors[1:], strict=True):
         trial = next((one for one in trials if one.after is after), None)
         if trial is not None:
-            lost = np.abs(cells.means(after.depth - before.depth))
+            losses = np.abs(cells.means(after.depth - before.depth))
             # Without scatter, what little is beyond smooth rates.
             less = np.maximum(trial.shares - trial.smooth, 0.0)
-            variance = variance + (OF_SCATTER * np.where(scatter > 0, scatter, less) * lost) ** 2
-        found.append(after._replace(error=error, variance=after.variance + variance))
-    return tuple(found)
+            variance = variance + (OF_SCATTER * np.where(scatter > 0, scatter, less) * losses) ** 2
+        trusted.append(after._replace(error=error, variance=after.variance + variance))
+    return tuple(trusted)
 
 
 def _errors(nodes: Sequence[Node], trials: Sequence[Trial], cells: Cells) -> list[np.ndarray]:
     """Of smooth rates, by surface, at each node [m]."""
-    told = [node.error for node in nodes]
+    own_errors = [node.error for node in nodes]
     if len(nodes) < PLACES:
-        return told
+        return own_errors
     import scipy.interpolate
 
     cycles = np.array([node.cycles for node in nodes])
     rates = np.array([cells.means(node.rate.wear) for node in nodes])
     path = scipy.interpolate.CubicSpline(cycles, rates).antiderivative()(cycles)
     stepped = {id(trial.after) for trial in trials}
-    sum_, found = np.zeros(len(cells.surfaces)), [told[0]]
+    sum_, errors = np.zeros(len(cells.surfaces)), [own_errors[0]]
     for i, node in enumerate(nodes[1:], 1):
         before, now = np.abs(rates[i - 1]), np.abs(rates[i])
         # An error grows with the rate where that grows with wear; that it shrinks is not counted.
         growth = np.divide(now, before, out=np.ones_like(now), where=before > 0)
         sum_ = sum_ * np.maximum(growth, 1.0)
         if id(node) in stepped:
-            lost = cells.means(node.depth - nodes[i - 1].depth)
-            sum_ = sum_ + MARGIN * np.abs(lost - (path[i] - path[i - 1]))
-        found.append(np.minimum(told[i], sum_))
-    return found
+            losses = cells.means(node.depth - nodes[i - 1].depth)
+            sum_ = sum_ + MARGIN * np.abs(losses - (path[i] - path[i - 1]))
+        errors.append(np.minimum(own_errors[i], sum_))
+    return errors
 
 
 def _scatter(trials: Sequence[Trial], surfaces: int) -> np.ndarray:
     """Of the estimates of steps, as shares of what they wear, by surface; from few steps a scatter
     is little known, and Student's factor widens it."""
-    found = np.zeros(surfaces)
+    scatter = np.zeros(surfaces)
     # The tail of wear that comes to an end is no scatter.
     trials = [trial for trial in trials if trial.counts == 1]
     if not trials:
-        return found
+        return scatter
     import scipy.stats
 
     smooth = np.array([trial.smooth for trial in trials])
@@ -526,5 +526,5 @@ def _scatter(trials: Sequence[Trial], surfaces: int) -> np.ndarray:
         # Also the steps tell in which smooth rates could not have made as much.
         telling = shares[smooth <= np.sqrt(np.mean(beyond**2))]
         factor = scipy.stats.t.ppf(0.975, len(telling)) / NORMAL
-        found[i] = factor * np.sqrt(np.mean(telling**2))
-    return found
+        scatter[i] = factor * np.sqrt(np.mean(telling**2))
+    return scatter

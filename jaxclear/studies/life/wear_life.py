@@ -24,7 +24,7 @@ from jaxclear.simulation.wear import with_coarser_cells
 from jaxclear.studies.answer import AbstractAnswer, Column, Stated, with_unit
 from jaxclear.studies.life.cycle import as_problem, check_cycle, check_cycles, check_period
 from jaxclear.studies.life.rates import Rates
-from jaxclear.studies.life.result import DEPTH, VOLUME, Stage, WearLife
+from jaxclear.studies.life.result import DEPTH, HOUR, VOLUME, Stage, WearLife
 from jaxclear.studies.life.settling import Patience
 from jaxclear.studies.life.steps import (
     CycleFailed,
@@ -52,7 +52,8 @@ def wear_life(
     asked: Mechanism | Problem,
     period: float | None = None,
     *,
-    cycles: float = 1e6,
+    cycles: float | None = None,
+    hours: float | None = None,
     accuracy: float = 1e-2,
     jump: float | None = None,
     most: int = 12,
@@ -72,7 +73,9 @@ def wear_life(
         asked: a `Mechanism`, or a `Problem` whose duration is the period, at its nominal values,
             and whose responses are followed.
         period: period of a mechanism [s], > 0; None for a problem.
-        cycles: number of cycles, at most 2^53; 1e6 by default.
+        cycles: number of cycles, at most 2^53; by default 1e6 of a problem, of a mechanism it or
+            `hours` must be given.
+        hours: hours of operation [h], > 0, in the place of `cycles`; None by default.
         accuracy: relative error of a jump [1], > 0; 0.01 by default.
         jump: fixed length of the jumps [cycles], each with the wear rate at its start; None
             (default) for chosen ones.
@@ -91,16 +94,27 @@ def wear_life(
         SimulationError: if the first cycle fails.
     """
     problem = as_problem("wear_life", asked, period)
-    check_cycles("wear_life", cycles)
+    if hours is not None:
+        check_number("hours of wear_life", hours, "h", above=0)
+        if cycles is not None:
+            raise ValueError("wear_life is given cycles and hours; leave one of them out.")
+        cycles = max(HOUR * hours / float(problem.duration), 1.0)
+    length = 1e6 if cycles is None else cycles
+    check_cycles("wear_life", length)
     check_number("accuracy of wear_life", accuracy, above=0)
     if jump is not None:
         check_number("jump of wear_life", jump, at_least=1)
     check_count("most of wear_life", most)
     check_flags("wear_life", progress_bar=progress_bar, verify=verify)
-    check_asked(problem)
+    check_wear_problem(problem)
+    if cycles is None and period is not None:
+        raise ValueError(
+            f"wear_life is given a period of {float(period):g} s and no number of cycles: give it "
+            "by name, cycles=..., or hours=... of operation."
+        )
     with open_store(store, "a wear life", problem), progress.bar(progress_bar, "wear life"):
         rates = Rates(problem, problem.nominal(), Patience(SETTLED, accuracy, most))
-        life = lived(rates, float(cycles), float(accuracy), jump)
+        life = lived(rates, float(length), float(accuracy), jump)
     if not verify:
         return life
     # Outside the folder, which knows cycles by their surfaces alone.
@@ -111,11 +125,11 @@ def _error_of_cells(life: WearLife, patience: Patience) -> float:
     """The relative error that cells leave in the depth of a life, from another one with the same
     steps on cells twice as wide."""
     coarser = with_coarser_cells(life.problem.mechanism, 2.0)
-    problem = eqx.tree_at(lambda own: own.mechanism, life.problem, coarser)
+    problem = eqx.tree_at(lambda tree: tree.mechanism, life.problem, coarser)
     rates = Rates(problem, problem.nominal(), patience)
     other = lived(rates, float(life.cycles[-1]), life.accuracy, None, life.lengths)
     depth, reached = life.at_end(DEPTH), min(life.cycles[-1], other.cycles[-1])
-    coarse, fine = (float(own.over_life(DEPTH, reached)) for own in (other, life))
+    coarse, fine = (float(one.over_life(DEPTH, reached)) for one in (other, life))
     # Scars that have grown to the shape of the part have edges: errors are of order 1 in the cells.
     return abs(coarse - fine) / depth if depth else 0.0
 
@@ -135,39 +149,39 @@ def lived(
     start = Node.first(row, rate, cells)
     machine = Machine(rates.evaluate, rates.carry, cells, rates.halves, progress.advance)
     if lengths:
-        found = live_along(machine, start, lengths)
+        path = live_along(machine, start, lengths)
     elif jump is not None:
-        found = live_by_jumps(machine, start, cycles, float(jump))
+        path = live_by_jumps(machine, start, cycles, float(jump))
     else:
-        found = live(machine, start, cycles, accuracy, _first_step(rates, rate, cycles))
+        path = live(machine, start, cycles, accuracy, _first_step(rates, rate, cycles))
     return WearLife(
         rates.problem,
-        tuple(Stage(node, node.rate.settled) for node in found.nodes),
+        tuple(Stage(node, node.rate.settled) for node in path.nodes),
         cells,
         rates.worn,
         rates.checks(),
         cycles,
         accuracy if jump is None else np.inf,
-        found.ended,
+        path.ended,
         rates.simulated,
-        found.rejected,
+        path.rejected,
     )
 
 
 def _first_step(rates: Rates, rate: Rate, cycles: float) -> float:
     """How many of the `cycles` the first step is long."""
     deepest = float(rate.wear[: rates.count].max(initial=0.0))
-    room = FIRST_DEPTH * _smallest_clearance(rates.problem.mechanism)
-    return max(min(FIRST_SHARE * cycles, room / deepest if deepest > 0 else cycles), 1.0)
+    depth = FIRST_DEPTH * _smallest_clearance(rates.problem.mechanism)
+    return max(min(FIRST_SHARE * cycles, depth / deepest if deepest > 0 else cycles), 1.0)
 
 
 def _smallest_clearance(mechanism: Mechanism) -> float:
     """Of what wears [m]; infinite where none says."""
-    known = (getattr(own, "clearance", None) for own in wearing_in(mechanism).values())
-    return min((float(size) for size in known if size is not None), default=np.inf)
+    clearances = (getattr(joint, "clearance", None) for joint in wearing_in(mechanism).values())
+    return min((float(size) for size in clearances if size is not None), default=np.inf)
 
 
-def check_asked(problem: Problem) -> None:
+def check_wear_problem(problem: Problem) -> None:
     """Raises `ValueError` with a sentence for a problem without a life."""
     _check_wears(problem)
     _check_names(problem)
@@ -188,12 +202,12 @@ def _check_wears(problem: Problem) -> None:
     """Raises `ValueError` where nothing wears, or wear is carried on already."""
     mechanism = problem.mechanism
     problem.integrator.formulation.seen(mechanism)
-    flanks = [name for name, own in mechanism.couplings.items() if own.gives and own.play]
+    flanks = [name for name, c in mechanism.couplings.items() if c.gives and c.play]
     surfaces = {
         f'{surface} of {"coupling" if name in flanks else "joint"} "{name}"': wearing
-        for name, own in wearing_in(mechanism).items()
+        for name, c in wearing_in(mechanism).items()
         if name in flanks or name in mechanism.topology.clearances
-        for surface, (_, wearing) in own.maps().items()
+        for surface, (_, wearing) in c.maps().items()
     }
     if not surfaces:
         raise ValueError(
@@ -233,11 +247,11 @@ class WearLives(AbstractAnswer):
     def until(self, name: str, limit: float) -> np.ndarray:
         """Cycles (samples,) until a quantity reaches a limit, as `WearLife.until`; `inf` for lives
         that do not reach it, `nan` for those that failed or ended before."""
-        found = []
+        lengths = []
         for life in self.lives:
             cycles = life.until(name, limit).cycles if life else np.nan
-            found.append(np.nan if life and life.ended and np.isinf(cycles) else cycles)
-        return np.array(found)
+            lengths.append(np.nan if life and life.ended and np.isinf(cycles) else cycles)
+        return np.array(lengths)
 
     def sentence(self) -> str:
         """How many lives there are, how many ended early and warn, between which depths they end,
@@ -265,12 +279,12 @@ class WearLives(AbstractAnswer):
         if first is not None:
             columns["cycles"] = Column(over, each(lambda life: float(life.cycles[-1])))
             for name, unit in first.quantities.items():
-                own = each(lambda life, name=name: life.at_end(name))
-                columns[name] = Column(over, own, unit, label=with_unit(name, unit))
+                values = each(lambda life, name=name: life.at_end(name))
+                columns[name] = Column(over, values, unit, label=with_unit(name, unit))
             columns["error of depth"] = Column(over, each(lambda life: life.error), "1")
-        said = [" ".join(life.warnings) if life else "" for life in self.lives]
+        warnings = [" ".join(life.warnings) if life else "" for life in self.lives]
         columns["ended"] = Column(over, [ended.get(i, "") for i in range(len(self.lives))])
-        columns["warnings"] = Column(over, said)
+        columns["warnings"] = Column(over, warnings)
         return Stated("wear lives", columns, self.problem, (), {"seed": self.seed})
 
 
@@ -312,14 +326,14 @@ def wear_lives(
     check_number("accuracy of wear_lives", accuracy, above=0)
     check_count("most of wear_lives", most)
     check_flags("wear_lives", progress_bar=progress_bar)
-    check_asked(problem)
+    check_wear_problem(problem)
     values = draw(problem, samples, seed)
     lives: list[WearLife | None] = []
     failed: dict[int, str] = {}
     with open_store(store, "wear lives", problem), progress.bar(progress_bar, "lives"):
-        for i, own in enumerate(values):
+        for i, row in enumerate(values):
             try:
-                rates = Rates(problem, jnp.asarray(own), Patience(SETTLED, accuracy, most))
+                rates = Rates(problem, jnp.asarray(row), Patience(SETTLED, accuracy, most))
                 lives.append(lived(rates, float(cycles), float(accuracy), None))
             except (SimulationError, ValueError) as reason:
                 lives.append(None)

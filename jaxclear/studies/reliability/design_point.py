@@ -30,7 +30,7 @@ FIRST_STEPS = 3
 # Nothing is looked for further out [deviations]: it would happen once in 1e15 parts.
 FURTHEST = 8.0
 # Points this far apart are two [deviations].
-APART = 0.5
+LEAST_DISTANCE = 0.5
 # A further point that is this much rarer than all is not worth another search.
 NEGLIGIBLE = 1e-3
 # Radius and steepness of a bulge, in shares of beta.
@@ -82,18 +82,18 @@ def design_points(
     """The design points of each cut set, likeliest first; none where nothing fails within
     `FURTHEST`. `hopeless`: asked where a first search finds none, whether others are in vain."""
     rng = np.random.default_rng([seed, 2])
-    found: list[DesignPoint] = []
+    points: list[DesignPoint] = []
     for cut in cuts:
-        found += _of_cut(model, tuple(sorted(cut)), variables, rng, hopeless)
+        points += _of_cut(model, tuple(sorted(cut)), variables, rng, hopeless)
     single: list[DesignPoint] = []
-    for point in sorted(found, key=lambda own: own.beta):
+    for point in sorted(points, key=lambda candidate: candidate.beta):
         if all(_new(point, other) or point.cut != other.cut for other in single):
             single.append(point)
     return single
 
 
 def _of_cut(model, cut, variables, rng, hopeless) -> list[DesignPoint]:
-    found: list[DesignPoint] = []
+    points: list[DesignPoint] = []
     bulges: list[_Bulge] = []
     directions = rng.normal(size=(STARTS, variables))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
@@ -102,15 +102,15 @@ def _of_cut(model, cut, variables, rng, hopeless) -> list[DesignPoint]:
     # Not from the middle itself, where symmetric limits have no slope or lead to a saddle.
     radii = [OFF_MIDDLE, *[START_RADIUS] * (STARTS - 1)]
     for start in np.asarray(radii)[:, None] * directions:
-        first = _found(model, cut, start)
+        first = _find_point(model, cut, start)
         if first is not None and (first.beta > 0) == safe:
-            found.append(first)
+            points.append(first)
             break
         if hopeless():
             return []
-    flat = bool(found) and _plane(model, cut, found[0], directions[1])
-    while 0 < len(found) < MOST_POINTS and safe and not flat:
-        last = found[-1]
+    flat = bool(points) and _plane(model, cut, points[0], directions[1])
+    while 0 < len(points) < MOST_POINTS and safe and not flat:
+        last = points[-1]
         height = STEEPNESS * last.beta * last.slopes.max()
         height /= (RADIUS**2 - STEEPNESS**2) ** 2 * last.beta**4
         bulges.append(_Bulge(last.normal, RADIUS * last.beta, height))
@@ -118,41 +118,41 @@ def _of_cut(model, cut, variables, rng, hopeless) -> list[DesignPoint]:
         for start in further:
             where = _search(model, cut, start, bulges, STEPS_HIDDEN)
             # The foot of a bulge is no design point: from there the search goes on without.
-            point = None if where is None else _found(model, cut, where)
-            if point is not None and point.beta > 0 and all(_new(point, own) for own in found):
-                found.append(point)
+            point = None if where is None else _find_point(model, cut, where)
+            if point is not None and point.beta > 0 and all(_new(point, other) for other in points):
+                points.append(point)
                 break
         else:
             break
-        shares = scipy.special.ndtr([-own.beta for own in found])
+        shares = scipy.special.ndtr([-other.beta for other in points])
         if shares[-1] < NEGLIGIBLE * shares.sum():
             break
-    return found
+    return points
 
 
 def _plane(model, cut, point: DesignPoint, direction: np.ndarray) -> bool:
     """Whether limits have one slope at the point, opposite it and in another direction: planes have
     no other point."""
-    own = -point.directions * point.slopes[:, None]
+    gradients = -point.directions * point.slopes[:, None]
     for at in (-point.normal, START_RADIUS * direction):
-        margins, slopes = _seen(model, cut, at, [])
-        beside = margins + own @ (point.normal - at)
-        flat = np.allclose(slopes, own, rtol=0, atol=FLAT * point.slopes.max())
-        if not flat or not np.all(abs(beside) < NEAR * point.slopes):
+        margins, slopes = _evaluate(model, cut, at, [])
+        margins_at_point = margins + gradients @ (point.normal - at)
+        flat = np.allclose(slopes, gradients, rtol=0, atol=FLAT * point.slopes.max())
+        if not flat or not np.all(abs(margins_at_point) < NEAR * point.slopes):
             return False
     return True
 
 
 def _new(point: DesignPoint, other: DesignPoint) -> bool:
-    return bool(np.linalg.norm(point.normal - other.normal) > APART)
+    return bool(np.linalg.norm(point.normal - other.normal) > LEAST_DISTANCE)
 
 
-def _found(model, cut, start) -> DesignPoint | None:
+def _find_point(model, cut, start) -> DesignPoint | None:
     """The design point that a search from `start` (variables,) leads to."""
     z = _search(model, cut, start, [], MOST_STEPS)
     if z is None or not np.linalg.norm(z) <= FURTHEST:
         return None
-    margins, slopes = _seen(model, cut, z, [])
+    margins, slopes = _evaluate(model, cut, z, [])
     sizes = np.linalg.norm(slopes, axis=1)
     if not np.isfinite(margins).all() or not np.isfinite(sizes).all() or sizes.min() == 0.0:
         return None
@@ -171,14 +171,14 @@ def _found(model, cut, start) -> DesignPoint | None:
 def _search(model, cut, start, bulges, steps) -> np.ndarray | None:
     """The place (variables,) to which a search from `start` leads that looks at so many; None where
     limits have no slopes at its start, or are no numbers."""
-    seen: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}
+    cache: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}
 
     def limits(z):
-        if z.tobytes() not in seen:
-            if len(seen) == steps:
+        if z.tobytes() not in cache:
+            if len(cache) == steps:
                 raise StopIteration
-            seen[z.tobytes()] = _seen(model, cut, z, bulges)
-        return seen[z.tobytes()]
+            cache[z.tobytes()] = _evaluate(model, cut, z, bulges)
+        return cache[z.tobytes()]
 
     # Far from the limit slopes may be next to none: there it is taken for a plane.
     for _ in range(FIRST_STEPS if len(cut) == 1 and not bulges else 0):
@@ -195,7 +195,7 @@ def _search(model, cut, start, bulges, steps) -> np.ndarray | None:
     if not np.isfinite(sizes).all() or sizes.min() == 0.0:
         return None
     try:
-        found = scipy.optimize.minimize(
+        result = scipy.optimize.minimize(
             lambda z: (0.5 * z @ z, z),
             start,
             jac=True,
@@ -209,18 +209,18 @@ def _search(model, cut, start, bulges, steps) -> np.ndarray | None:
             options={"ftol": NEAR**2},
         ).x
     except StopIteration:
-        found = np.frombuffer([*seen][-1])
-    return found if np.isfinite(found).all() else None
+        result = np.frombuffer([*cache][-1])
+    return result if np.isfinite(result).all() else None
 
 
-def _seen(model, cut, z, bulges):
+def _evaluate(model, cut, z, bulges):
     """Margins (limits of the cut,) and slopes (limits, variables), found points hidden."""
     margins, slopes = model.slopes(z[None])
     margins, slopes = margins[0, list(cut)], slopes[0][list(cut)]
     for bulge in bulges:
         away = z - bulge.centre
-        left = bulge.radius**2 - away @ away
-        if left > 0:
-            margins = margins + bulge.height * left**2
-            slopes = slopes - 4.0 * bulge.height * left * away
+        height = bulge.radius**2 - away @ away
+        if height > 0:
+            margins = margins + bulge.height * height**2
+            slopes = slopes - 4.0 * bulge.height * height * away
     return margins, slopes

@@ -25,7 +25,7 @@ WIDTH = 0.02
 
 def form(points: list[DesignPoint]) -> float:
     """Probability [1] that any design point's limits, taken for planes, are broken."""
-    return _planes(points, [own.betas for own in points])
+    return _planes(points, [point.betas for point in points])
 
 
 def curvatures(model: AbstractModel, point: DesignPoint) -> np.ndarray:
@@ -62,8 +62,8 @@ def tvedt(beta: float, bends: np.ndarray) -> float:
     first = scipy.special.ndtr(-beta) * product(beta)
     second = rest * (product(beta) - product(beta + 1))
     third = (beta + 1) * rest * (product(beta) - np.real(product(beta + 1j)))
-    found = float(np.real(first + second + third))
-    return found if 0 < found < 1 else np.nan
+    probability = float(np.real(first + second + third))
+    return probability if 0 < probability < 1 else np.nan
 
 
 def sorm(points: list[DesignPoint], bends: list[np.ndarray]) -> tuple[float, float]:
@@ -71,11 +71,11 @@ def sorm(points: list[DesignPoint], bends: list[np.ndarray]) -> tuple[float, flo
     of its paraboloid."""
     answers = []
     for formula in (breitung, tvedt):
-        own = [formula(p.beta, kappa) for p, kappa in zip(points, bends, strict=True)]
-        if not np.all(np.isfinite(own)):
+        betas = [formula(p.beta, kappa) for p, kappa in zip(points, bends, strict=True)]
+        if not np.all(np.isfinite(betas)):
             answers.append(np.nan)
             continue
-        answers.append(_planes(points, [np.array([-scipy.special.ndtri(p)]) for p in own]))
+        answers.append(_planes(points, [np.array([-scipy.special.ndtri(p)]) for p in betas]))
     return answers[0], answers[1]
 
 
@@ -87,6 +87,6 @@ def _planes(points: list[DesignPoint], betas: list[np.ndarray]) -> float:
     rng = np.random.default_rng(0)
     normal = proposal.drawn(scrambled_normal(POINTS, proposal.dimensions, rng))
     fails = np.zeros(POINTS, bool)
-    for point, own in zip(points, betas, strict=True):
-        fails |= np.all(normal @ point.directions.T >= own, axis=1)
+    for point, beta in zip(points, betas, strict=True):
+        fails |= np.all(normal @ point.directions.T >= beta, axis=1)
     return float(np.mean(fails * proposal.weights(normal)))

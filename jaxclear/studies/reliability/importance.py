@@ -14,7 +14,7 @@ import scipy
 
 from jaxclear.studies.limit_state import system_margin
 from jaxclear.studies.reliability.models import Probability, RunModel, SurfaceModel, refused
-from jaxclear.studies.surface.control_variate import Known, normal_blocks
+from jaxclear.studies.surface.control_variate import Mean, normal_blocks
 
 # Runs of one scrambling, scramblings before the first look, and added between looks.
 BLOCK, FIRST, MORE = 32, 8, 4
@@ -85,52 +85,52 @@ def importance(
     most."""
     cuts = model.limit.cut_sets()
     before, failed = model.runs, model.failed
-    known = _own_probability(surface, proposal, cuts, seed) if surface is not None else None
+    exact = _surface_probability(surface, proposal, cuts, seed) if surface is not None else None
     means, within, counts, unknown = np.zeros(0), np.zeros(0), 0, 0.0
     while True:
         new = FIRST if not len(means) else MORE
         drawn = normal_blocks(new, BLOCK, proposal.dimensions, (seed, 3), first=len(means))
         normal = proposal.drawn(drawn)
         margins, weights = model.margins(normal), proposal.weights(normal)
-        lost = np.isnan(margins).any(axis=1)
-        fails = lost | (system_margin(np.where(lost[:, None], -1.0, margins), cuts) < 0)
-        counts, unknown = counts + int(fails.sum()), unknown + float(np.sum(weights * lost))
-        left = weights * fails
+        is_missing = np.isnan(margins).any(axis=1)
+        fails = is_missing | (system_margin(np.where(is_missing[:, None], -1.0, margins), cuts) < 0)
+        counts, unknown = counts + int(fails.sum()), unknown + float(np.sum(weights * is_missing))
+        weighted = weights * fails
         if surface is not None:
-            left = left - weights * (system_margin(surface.margins(normal), cuts) < 0)
-        blocks = left.reshape(new, BLOCK)
+            weighted = weighted - weights * (system_margin(surface.margins(normal), cuts) < 0)
+        blocks = weighted.reshape(new, BLOCK)
         means = np.concatenate([means, blocks.mean(axis=1)])
         within = np.concatenate([within, blocks.var(axis=1, ddof=1) / BLOCK])
-        found = _answer(means, within, known, counts)
+        result = _answer(means, within, exact, counts)
         runs = model.runs - before
-        if found.variation <= variation:
+        if result.variation <= variation:
             break
         # A coefficient of variation falls with the root of the runs.
-        needed = runs * (found.variation / variation) ** 2 if counts else np.inf
+        needed = runs * (result.variation / variation) ** 2 if counts else np.inf
         if runs + MORE * BLOCK > most_runs or (runs >= LOOK and needed > 2 * most_runs):
             break
-    share = unknown / (runs * found.value) if found.value > 0 else 0.0
-    if counts == 0 or not found.value > 0:
+    share = unknown / (runs * result.value) if result.value > 0 else 0.0
+    if counts == 0 or not result.value > 0:
         why = f"none of {runs} samples about the design points fails"
         return refused(f"{why}.", runs, model.failed - failed)
-    return found._replace(runs=runs, failed=model.failed - failed, unknown=share)
+    return result._replace(runs=runs, failed=model.failed - failed, unknown=share)
 
 
-def _answer(means: np.ndarray, within: np.ndarray, known: Known | None, counts: int) -> Probability:
+def _answer(means: np.ndarray, within: np.ndarray, exact: Mean | None, counts: int) -> Probability:
     """The answer so far: the mean of the blocks and its variation, by their spread or, where that
     is larger, by the spread within them (variances of means, (blocks,)): few blocks are like each
     other by chance, and sampling until they are would be biased. As if one failing sample more had
     differed: that a surface is right at all samples does not make it right."""
-    value = means.mean() + (known.value if known else 0.0)
+    value = means.mean() + (exact.value if exact else 0.0)
     if not value > 0 or not counts:
         return Probability(max(float(value), 0.0), np.inf, blocks=len(means))
     variance = max(means.var(ddof=1), within.mean()) / len(means)
-    variance += known.variance + (value / counts) ** 2 if known else 0.0
+    variance += exact.variance + (value / counts) ** 2 if exact else 0.0
     return Probability(float(value), float(np.sqrt(variance) / value), blocks=len(means))
 
 
-def _own_probability(surface: SurfaceModel, proposal: Proposal, cuts, seed: int) -> Known:
+def _surface_probability(surface: SurfaceModel, proposal: Proposal, cuts, seed: int) -> Mean:
     drawn = normal_blocks(SURFACE_BLOCKS, SURFACE_POINTS, proposal.dimensions, (seed, 4))
     normal = proposal.drawn(drawn)
     fails = system_margin(surface.margins(normal), cuts) < 0
-    return Known.of(proposal.weights(normal) * fails, SURFACE_BLOCKS)
+    return Mean.of(proposal.weights(normal) * fails, SURFACE_BLOCKS)

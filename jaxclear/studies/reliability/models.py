@@ -59,7 +59,7 @@ class RunModel(AbstractModel):
     def responses(self, normal: np.ndarray) -> tuple[np.ndarray, SampleResult]:
         """Values (samples, variables) and what their runs give."""
         values = all_values(self.problem, normal)
-        found = evaluate_all(
+        result = evaluate_all(
             self.problem,
             jnp.asarray(values),
             chunk=chunk_size(self.problem, ROUND),
@@ -67,37 +67,37 @@ class RunModel(AbstractModel):
             label=self.label,
         )
         self.runs += len(normal)
-        return values, found
+        return values, result
 
     def margins(self, normal):
         return self.of(self.responses(normal)[1])
 
     def slopes(self, normal):
         values = all_values(self.problem, normal)
-        found, gradients = run(self.problem, values, slopes=True, chunk=len(normal))
+        result, gradients = run(self.problem, values, slopes=True, chunk=len(normal))
         assert gradients is not None
         self.runs += len(normal) * (1 + normal.shape[1])
         through = value_slopes(self.problem, normal)
         steep = [
-            _sense(own) * np.einsum("kv,kvz->kz", gradients[own.response], through)
-            for own in self.limit.limits()
+            _sense(part) * np.einsum("kv,kvz->kz", gradients[part.response], through)
+            for part in self.limit.limits()
         ]
-        return self.of(found), np.stack(steep, axis=1)
+        return self.of(result), np.stack(steep, axis=1)
 
-    def of(self, found: SampleResult) -> np.ndarray:
+    def of(self, result: SampleResult) -> np.ndarray:
         """Margins (samples, limits) of runs, infinite where a response is and that is an answer;
         nan where one did not reach its end."""
-        own = {name: np.asarray(r, float) for name, r in found.responses.items()}
-        margins = np.stack([np.asarray(limit.margin(own)) for limit in self.limit.limits()], axis=1)
-        limited = {limit.response: own[limit.response] for limit in self.limit.limits()}
-        good, _ = successes(self.problem, found.outcome, limited)
+        y = {name: np.asarray(r, float) for name, r in result.responses.items()}
+        margins = np.stack([np.asarray(limit.margin(y)) for limit in self.limit.limits()], axis=1)
+        limited = {limit.response: y[limit.response] for limit in self.limit.limits()}
+        good, _ = successes(self.problem, result.outcome, limited)
         self.failed += int((~good).sum())
-        self.codes = np.concatenate([self.codes, codes_of(found.checks, len(good))[good]])
+        self.codes = np.concatenate([self.codes, codes_of(result.checks, len(good))[good]])
         return np.where(good[:, None], margins, np.nan)
 
     def warnings(self) -> tuple[str, ...]:
         """How many runs warn of what concerns the limited responses."""
-        limited = [own.response for own in self.limit.limits()]
+        limited = [part.response for part in self.limit.limits()]
         return sentences(self.problem, self.codes, limited)
 
 
@@ -174,8 +174,8 @@ class Probability(NamedTuple):
         if self.refusal:
             return f"no answer: {self.refusal}"
         low, high = self.interval
-        known = f", 95 %: {low:.3g} to {high:.3g}" if np.isfinite(low) else ", its error not known"
-        return f"{self.value:.3g} ({self.runs} runs{known})"
+        ends = f", 95 %: {low:.3g} to {high:.3g}" if np.isfinite(low) else ", its error not known"
+        return f"{self.value:.3g} ({self.runs} runs{ends})"
 
 
 def refused(why: str, runs: int = 0, failed: int = 0) -> Probability:

@@ -15,7 +15,7 @@ import numpy as np
 
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_count, check_flags, check_methods, check_number, expect
-from jaxclear.studies.endless import check_told, endless_sentences
+from jaxclear.studies.endless import check_within_horizon, endless_sentences
 from jaxclear.studies.experiment import SampleResult
 from jaxclear.studies.limit_state import AbstractLimitState, check_limit, system_margin
 from jaxclear.studies.problem import Problem
@@ -59,39 +59,39 @@ def surface_where_it_fails(
     variables, cuts = len(model.problem.names), model.limit.cut_sets()
     rng = np.random.default_rng([seed, 6])
     runs = max(RUNS_PER_TERM * len(powers(np.full(variables, 2), 2)), FEWEST)
-    seen = [_counted(model, WIDE * scrambled_normal(runs, variables, rng))]
+    samples = [_counted(model, WIDE * scrambled_normal(runs, variables, rng))]
     for _ in range(MOST_ROUNDS):
-        values = np.concatenate([own for own, _ in seen])
-        found = jax.tree.map(lambda *parts: np.concatenate(parts), *(own for _, own in seen))
-        asked = {own.response: found.responses[own.response] for own in model.limit.limits()}
-        endless = endless_sentences(model.problem, asked)
+        values = np.concatenate([points for points, _ in samples])
+        result = jax.tree.map(lambda *parts: np.concatenate(parts), *(runs for _, runs in samples))
+        limited = {part.response: result.responses[part.response] for part in model.limit.limits()}
+        endless = endless_sentences(model.problem, limited)
         if endless:
             return f"{NO_SURFACE}: {' '.join(endless)}", [], False
-        surface = fitted(model.problem, values, found)
-        if not all(surface.trusted(own.response) for own in model.limit.limits()):
+        surface = fitted(model.problem, values, result)
+        if not all(surface.trusted(part.response) for part in model.limit.limits()):
             return surface, [], False
-        own = SurfaceModel(surface, model.limit)
-        points = design_points(own, cuts, variables, seed)
+        fit = SurfaceModel(surface, model.limit)
+        points = design_points(fit, cuts, variables, seed)
         if not points:
             return surface, points, True
         at = np.stack([point.normal for point in points])
-        values, found = model.responses(at)
-        gap = model.of(found) - own.margins(at)
+        values, result = model.responses(at)
+        gap = model.of(result) - fit.margins(at)
         sizes = [np.max(abs(g[list(p.cut)]) / p.slopes) for g, p in zip(gap, points, strict=True)]
         if np.nanmax(sizes, initial=0.0) <= RIGHT and np.isfinite(sizes).all():
             return surface, points, True
-        seen.append((values, found))
+        samples.append((values, result))
         for point, size in zip(points, sizes, strict=True):
             if not size <= RIGHT:
                 about = scrambled_normal(RUNS_ABOUT * (variables + 1), variables, rng)
-                seen.append(_counted(model, point.normal + ABOUT * about))
+                samples.append(_counted(model, point.normal + ABOUT * about))
     return surface, points, False
 
 
 def _counted(model: RunModel, normal: np.ndarray) -> tuple[np.ndarray, SampleResult]:
-    values, found = model.responses(normal)
-    model.of(found)
-    return values, found
+    values, result = model.responses(normal)
+    model.of(result)
+    return values, result
 
 
 METHODS = ("form", "sorm", "importance", "subset")
@@ -144,59 +144,59 @@ def reliability(
         ValueError: if an argument is wrong.
     """
     expect(problem, Problem, "what reliability is asked of", "a problem of jaxclear")
-    wanted = _checked(problem, limit, methods, surface)
+    names = _checked(problem, limit, methods, surface)
     check_number("variation of reliability", variation, above=0, at_most=1)
     check_count("most_runs of reliability", most_runs)
     check_count("seed of reliability", seed, at_least=0)
     check_flags("reliability", progress_bar=progress_bar)
     model = RunModel(problem, limit, progress_bar)
     reach = Reach(model, seed)
-    points, own, notes = _searched(model, surface, wanted, seed, reach)
+    points, fitted, notes = _searched(model, surface, names, seed, reach)
     estimates: dict[str, Probability] = {}
-    if "form" in wanted:
+    if "form" in names:
         estimates["form"] = (
-            Probability(form(points), runs=model.runs) if points else _none(own, limit, notes)
+            Probability(form(points), runs=model.runs) if points else _none(fitted, limit, notes)
         )
-    if "sorm" in wanted:
+    if "sorm" in names:
         estimates |= _second_order(
-            model if own is None else SurfaceModel(own, limit), model, points
+            model if fitted is None else SurfaceModel(fitted, limit), model, points
         )
-    if "importance" in wanted:
-        asked = variation, most_runs, seed
-        estimates["importance"] = _about(model, own, points, asked, notes) or _none(
-            own, limit, notes
+    if "importance" in names:
+        settings = variation, most_runs, seed
+        estimates["importance"] = _about(model, fitted, points, settings, notes) or _none(
+            fitted, limit, notes
         )
     missed = "importance" in estimates and not estimates["importance"].variation <= variation
-    looked = "subset" in wanted or (methods is None and missed)
+    looked = "subset" in names or (methods is None and missed)
     sampled = "importance" in estimates and np.isfinite(estimates["importance"].value)
     # Something is known to fail by a sample, or a design point of the runs themselves.
-    if looked and (sampled or (points and own is None) or not reach.beyond()):
+    if looked and (sampled or (points and fitted is None) or not reach.beyond()):
         estimates["subset"] = subset(model, variation, most_runs, seed)
     if reach.sentence:
         nothing = refused(reach.sentence, model.runs)
         estimates = dict.fromkeys([*estimates, "subset"], nothing)
     counts = model.runs, model.failed
-    said = tuple(notes), model.warnings()
-    return Reliability(problem, limit, estimates, tuple(points), own, *counts, variation, *said)
+    texts = tuple(notes), model.warnings()
+    return Reliability(problem, limit, estimates, tuple(points), fitted, *counts, variation, *texts)
 
 
 def _about(
     model: RunModel,
-    own: ResponseSurface | None,
+    fitted: ResponseSurface | None,
     points: list[DesignPoint],
-    asked: tuple[float, int, int],
+    settings: tuple[float, int, int],
     notes: list[str],
 ) -> Probability | None:
-    """What importance sampling answers; None without a design point. `asked`: variation, most runs,
-    seed."""
+    """What importance sampling answers; None without a design point. `settings`: variation, most
+    runs, seed."""
     if not points:
         return None
     limit = model.limit
-    trusted = own is not None and all(own.trusted(part.response) for part in limit.limits())
-    control = SurfaceModel(own, limit) if own is not None and trusted else None
-    proposal = Proposal.at([own.normal for own in points], [own.beta for own in points])
+    trusted = fitted is not None and all(fitted.trusted(part.response) for part in limit.limits())
+    control = SurfaceModel(fitted, limit) if fitted is not None and trusted else None
+    proposal = Proposal.at([point.normal for point in points], [point.beta for point in points])
     if control is not None or _cheap(model.problem):
-        proposal = _with_other_regions(control or model, proposal, asked)
+        proposal = _with_other_regions(control or model, proposal, settings)
         more = len(proposal.centres) - 1 - len(points)
         if more:
             notes.append(
@@ -205,7 +205,7 @@ def _about(
             )
     else:
         notes.append("Whether parts fail away from the design points was not searched.")
-    return importance(model, control, proposal, *asked)
+    return importance(model, control, proposal, *settings)
 
 
 def _cheap(problem: Problem) -> bool:
@@ -214,7 +214,7 @@ def _cheap(problem: Problem) -> bool:
 
 
 def _with_other_regions(
-    search: RunModel | SurfaceModel, proposal: Proposal, asked: tuple[float, int, int]
+    search: RunModel | SurfaceModel, proposal: Proposal, settings: tuple[float, int, int]
 ) -> Proposal:
     """The proposal, and a centre in each region of failing parts which it hardly samples, as a
     small subset simulation finds them.
@@ -223,12 +223,12 @@ def _with_other_regions(
     tell it to 100 %, as many as give the variation asked for from the most runs at the most: what
     weighs more is not sampled.
     """
-    variation, most_runs, seed = asked
+    variation, most_runs, seed = settings
     failing: list[np.ndarray] = []
 
     def see(normal: np.ndarray, margins: np.ndarray) -> None:
-        known = np.where(np.isnan(margins), -1.0, margins)
-        failing.append(normal[system_margin(known, search.limit.cut_sets()) < 0])
+        finite = np.where(np.isnan(margins), -1.0, margins)
+        failing.append(normal[system_margin(finite, search.limit.cut_sets()) < 0])
 
     (share,), *_ = repetitions(search, 1, PILOT, np.random.default_rng([seed, 8]), see)
     fails, most = np.concatenate(failing), most_runs * variation**2 * share
@@ -245,10 +245,10 @@ def _with_other_regions(
 
 
 def _searched(
-    model: RunModel, surface: ResponseSurface | None, wanted: Sequence[str], seed: int, reach: Reach
+    model: RunModel, surface: ResponseSurface | None, names: Sequence[str], seed: int, reach: Reach
 ) -> tuple[list[DesignPoint], ResponseSurface | None, list[str]]:
     """Design points, the surface on which they were found (None: on runs), and sentences."""
-    if set(wanted) <= {"subset"}:
+    if set(names) <= {"subset"}:
         return [], None, []
     cuts, variables = model.limit.cut_sets(), len(model.problem.names)
     hopeless = lambda: bool(reach.beyond())
@@ -256,21 +256,21 @@ def _searched(
     if surface is None and exact and _cheap(model.problem):
         return design_points(model, cuts, variables, seed, hopeless), None, []
     if surface is None:
-        found, points, right = surface_where_it_fails(model, seed)
-        if isinstance(found, str):
-            return [], None, [found]
+        result, points, right = surface_where_it_fails(model, seed)
+        if isinstance(result, str):
+            return [], None, [result]
         if exact and not points:
             points = design_points(model, cuts, variables, seed, hopeless)
-            return points, None, [found.sentence()]
+            return points, None, [result.sentence()]
     else:
-        trusted = all(surface.trusted(own.response) for own in model.limit.limits())
+        trusted = all(surface.trusted(part.response) for part in model.limit.limits())
         searched = SurfaceModel(surface, model.limit)
         points = design_points(searched, cuts, variables, seed) if trusted else []
-        found, right = surface, trusted
-    notes = [found.sentence()]
+        result, right = surface, trusted
+    notes = [result.sentence()]
     if points and not right:
         notes.append("Runs at its design points do not confirm the surface.")
-    return points, found, notes
+    return points, result, notes
 
 
 def _none(
@@ -278,7 +278,7 @@ def _none(
 ) -> Probability:
     """What methods answer that have no design point."""
     if surface is not None:
-        trusted = all(surface.trusted(own.response) for own in limit.limits())
+        trusted = all(surface.trusted(part.response) for part in limit.limits())
         why = "nothing fails on the surface" if trusted else "the surface is too rough to search"
         return refused(f"{why}.")
     none = bool(notes) and notes[0].startswith(NO_SURFACE)
@@ -312,8 +312,8 @@ def _checked(problem: Problem, limit: Any, methods: Any, surface: Any) -> tuple[
             "the problem has no variables; nothing would fail by chance: give it some."
         )
     check_limit(limit, problem.response_names, "reliability")
-    for own in limit.limits():
-        check_told(problem, own.response, own.threshold)
+    for part in limit.limits():
+        check_within_horizon(problem, part.response, part.threshold)
     if surface is not None:
         expect(surface, ResponseSurface, "surface of reliability", "what jaxclear.surface gives")
         differs = difference(surface.problem, problem)

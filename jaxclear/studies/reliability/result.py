@@ -3,7 +3,6 @@
 from typing import Any
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 import scipy
 
@@ -80,26 +79,26 @@ class Reliability(AbstractAnswer):
         if not self.points:
             return {}
         shares = _shares(self.problem, self.points[0])
-        return {name: float(shares[list(own)].sum()) for name, own in self.problem.groups.items()}
+        return {name: float(shares[list(at)].sum()) for name, at in self.problem.groups.items()}
 
     def design_point(self, index: int = 0) -> dict[str, float]:
         """Values of the variables of a design point, by name, in their units."""
-        values = self.problem.inputs.values(jnp.asarray(self.points[index].normal))
+        values = self.problem.inputs.values(self.points[index].normal)
         return {name: float(v) for name, v in zip(self.problem.names, values, strict=True)}
 
     def _stated(self):
         over, every = ("method",), self.estimates.items()
-        read = lambda part: {name: part(own) for name, own in every}
+        read = lambda part: {name: part(e) for name, e in every}
         count, names = len(self.points), list(self.problem.names)
         places = [[self.design_point(i)[name] for name in names] for i in range(count)]
         columns = {
-            "probability": Column(over, read(lambda own: own.value), "1"),
-            "coefficient of variation": Column(over, read(lambda own: own.variation), "1"),
-            "95 % low": Column(over, read(lambda own: own.interval[0]), "1"),
-            "95 % high": Column(over, read(lambda own: own.interval[1]), "1"),
-            "runs": Column(over, read(lambda own: own.runs)),
-            "failed": Column(over, read(lambda own: own.failed)),
-            "refusal": Column(over, read(lambda own: own.refusal)),
+            "probability": Column(over, read(lambda e: e.value), "1"),
+            "coefficient of variation": Column(over, read(lambda e: e.variation), "1"),
+            "95 % low": Column(over, read(lambda e: e.interval[0]), "1"),
+            "95 % high": Column(over, read(lambda e: e.interval[1]), "1"),
+            "runs": Column(over, read(lambda e: e.runs)),
+            "failed": Column(over, read(lambda e: e.failed)),
+            "refusal": Column(over, read(lambda e: e.refusal)),
             "beta": Column(("point",), [point.beta for point in self.points], "1"),
             "design point": Column(
                 ("point", VARIABLE),
@@ -124,7 +123,7 @@ class Reliability(AbstractAnswer):
             shares = _shares(self.problem, point)
             row = {"beta": point.beta} | self.design_point(i)
             groups = self.problem.groups.items()
-            row |= {f"importance of {n}": shares[list(own)].sum() for n, own in groups}
+            row |= {f"importance of {n}": shares[list(group)].sum() for n, group in groups}
             rows.append(row)
         units = dict(zip(self.problem.names, self.problem.variable_units, strict=True))
         return as_table(rows, units=units)
@@ -133,7 +132,7 @@ class Reliability(AbstractAnswer):
         """The answer with its error and cost, where FORM and sampling disagree, and what is to be
         known of it."""
         if self.method == "none":
-            whys = {own.refusal for own in self.estimates.values()}
+            whys = {e.refusal for e in self.estimates.values()}
             if len(whys) == 1:
                 return " ".join(
                     [f"No method has an answer: {whys.pop()}", *self.notes, *self.warnings]
@@ -141,24 +140,24 @@ class Reliability(AbstractAnswer):
             return " ".join(
                 ["No method has an answer.", *self._refusals(), *self.notes, *self.warnings]
             )
-        own = self.estimates[self.method]
-        text = f"P({self.limit.words()}) = {own.value:.3g}"
-        if np.isfinite(own.variation):
-            low, high = own.interval
+        best = self.estimates[self.method]
+        text = f"P({self.limit.words()}) = {best.value:.3g}"
+        if np.isfinite(best.variation):
+            low, high = best.interval
             text += (
-                f", coefficient of variation {own.variation:.1%} (95 %: {low:.3g} to {high:.3g})"
+                f", coefficient of variation {best.variation:.1%} (95 %: {low:.3g} to {high:.3g})"
             )
             text += f", by {_named(self.method)}"
             if self.method == "importance":
                 text += f" about {len(self.points)} design point{'s' * (len(self.points) != 1)}"
-            if own.variation > self.asked_variation:
+            if best.variation > self.asked_variation:
                 text += (
                     f"; {self.asked_variation:.0%} were asked for and take more runs (most_runs)"
                 )
         else:
             text += f" by {_named(self.method)}, whose error is not known: sample to know it"
-        said = [f"{text}; {self.runs} runs in all.", *self._comparison(own), *self._lost(own)]
-        return " ".join([*said, *self._refusals(), *self.notes, *self.warnings])
+        parts = [f"{text}; {self.runs} runs in all.", *self._comparison(best), *self._failure(best)]
+        return " ".join([*parts, *self._refusals(), *self.notes, *self.warnings])
 
     def _shown(self):
         return self.sentence()
@@ -166,42 +165,42 @@ class Reliability(AbstractAnswer):
     def _answers(self, name: str) -> bool:
         return name in self.estimates and np.isfinite(self.estimates[name].value)
 
-    def _comparison(self, own: Probability) -> list[str]:
+    def _comparison(self, e: Probability) -> list[str]:
         """Where methods contradict the answer."""
-        said = []
+        sentences = []
         for name, other in self.estimates.items():
-            if name == self.method or not self._answers(name) or not np.isfinite(own.variation):
+            if name == self.method or not self._answers(name) or not np.isfinite(e.variation):
                 continue
             if name in SAMPLED:
-                if not _overlap(own, other):
-                    said.append(
+                if not _overlap(e, other):
+                    sentences.append(
                         f"{_named(name).capitalize()} says {other.value:.3g} and contradicts it: "
                         "one of the two does not find all that fails."
                     )
-            elif not own.interval[0] <= other.value <= own.interval[1]:
-                ratio = other.value / own.value
+            elif not e.interval[0] <= other.value <= e.interval[1]:
+                ratio = other.value / e.value
                 if abs(ratio - 1) <= 2 * self.asked_variation:
                     continue
                 times = f"{ratio:.2g} times as much" if ratio >= 1 else f"1/{1 / ratio:.2g} of it"
-                said.append(
+                sentences.append(
                     f"{_named(name)} says {other.value:.3g}, {times}: the limit is not "
                     f"{_shape(name)} where parts fail."
                 )
-        return said
+        return sentences
 
-    def _lost(self, own: Probability) -> list[str]:
+    def _failure(self, result: Probability) -> list[str]:
         if not self.failed:
             return []
         text = f"{self.failed} runs did not reach their end"
-        if own.unknown > SMALL:
-            return [f"{text}; they count as failing, with {own.unknown:.1%} of the probability."]
+        if result.unknown > SMALL:
+            return [f"{text}; they count as failing, with {result.unknown:.1%} of the probability."]
         return [f"{text}; they count as failing, with next to nothing of the probability."]
 
     def _refusals(self) -> list[str]:
         methods: dict[str, list[str]] = {}
-        for name, own in self.estimates.items():
-            if own.refusal:
-                methods.setdefault(own.refusal, []).append(_named(name))
+        for name, estimate in self.estimates.items():
+            if estimate.refusal:
+                methods.setdefault(estimate.refusal, []).append(_named(name))
         return [f"{' and '.join(names)}: {why}" for why, names in methods.items()]
 
 

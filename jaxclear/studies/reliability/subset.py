@@ -54,27 +54,27 @@ def subset(model: RunModel, variation: float, most_runs: int, seed: int) -> Prob
     while True:
         new = MORE if len(values) else FIRST
         start, rng = model.runs, np.random.default_rng([seed, 5, level, len(values)])
-        own = repetitions(model, new, level, rng)
-        told = zip((values, unknown, reached), own, strict=True)
-        values, unknown, reached = (np.concatenate(pair) for pair in told)
+        repeated = repetitions(model, new, level, rng)
+        pairs_of_columns = zip((values, unknown, reached), repeated, strict=True)
+        values, unknown, reached = (np.concatenate(pair) for pair in pairs_of_columns)
         cost += model.runs - start
         mean = values.mean()
         single = _single(values, reached, level)
         # Without levels the samples are independent, and there is no bias.
         bias = 0.5 * single**2 if reached.mean() < 1.0 else 0.0
         error = np.hypot(single / np.sqrt(len(values)), bias)
-        left = most_runs - (model.runs - before)
-        if error <= variation or left < cost * MORE / len(values):
+        remaining = most_runs - (model.runs - before)
+        if error <= variation or remaining < cost * MORE / len(values):
             break
-        if single**2 > variation and level < LARGEST and left > 2 * cost / len(values) * FIRST:
+        if single**2 > variation and level < LARGEST and remaining > 2 * cost / len(values) * FIRST:
             values, unknown, reached, cost = np.zeros(0), np.zeros(0), np.zeros(0), 0
             level *= 2
     runs, failed = model.runs - before, model.failed - failed
     if mean == 0.0:
         nothing = f"nothing that fails is found in {runs} runs"
         endless = [
-            model.problem.description.responses[own.response].infinite
-            for own in model.limit.limits()
+            model.problem.description.responses[part.response].infinite
+            for part in model.limit.limits()
         ]
         if any(endless):
             why = f"infinite responses say nothing of how near they are ({' '.join(endless)})"
@@ -116,28 +116,28 @@ def repetitions(
     normal = rng.normal(size=(number, count, variables))
     scales = np.ones(len(model.limit.limits()))
 
-    def seen(at):
+    def evaluate(at):
         flat = at.reshape(-1, variables)
         margins = model.margins(flat)
         see(flat, margins)
         return margins
 
     def worst(at):
-        return _worst(seen(at) / scales, cuts).reshape(at.shape[:-1])
+        return _worst(evaluate(at) / scales, cuts).reshape(at.shape[:-1])
 
-    margins = seen(normal)
+    margins = evaluate(normal)
     # Limits in one scale, so that a system's worst samples are not those of the largest unit.
-    scales = np.array([_scale(own[np.isfinite(own)]) for own in margins.T])
+    scales = np.array([_scale(column[np.isfinite(column)]) for column in margins.T])
     margins = _worst(margins / scales, cuts).reshape(number, count)
-    found, unknown, kept = np.zeros(number), np.zeros(number), int(SHARE * count)
+    result, unknown, seed_count = np.zeros(number), np.zeros(number), int(SHARE * count)
     share, open_ = np.ones(number), np.ones(number, bool)
     while open_.any():
-        level = np.array([_level(own, kept) for own in margins])
+        level = np.array([_level(column, seed_count) for column in margins])
         # -inf where so many runs are lost that they are the level; nan where nothing parts the
         # samples, and those that fail are counted as they are.
         done = open_ & ~(level > 0)
         inside = (margins < 0).mean(axis=1)
-        found[done] = share[done] * inside[done]
+        result[done] = share[done] * inside[done]
         unknown[done] = share[done] * np.isneginf(margins[done]).mean(axis=1)
         open_ &= ~done
         share[open_] *= (margins[open_] <= level[open_, None]).mean(axis=1)
@@ -146,36 +146,36 @@ def repetitions(
         if not open_.any():
             break
         pairs = zip(margins[open_], level[open_], strict=True)
-        seeds = np.stack([_seeds(*pair, kept, rng) for pair in pairs])
+        seeds = np.stack([_seeds(*pair, seed_count, rng) for pair in pairs])
         chains = (
             np.take_along_axis(normal[open_], seeds[..., None], axis=1),
             np.take_along_axis(margins[open_], seeds, axis=1),
         )
         normal[open_], margins[open_] = _conditioned(worst, *chains, level[open_], rng)
-    return found, unknown, share
+    return result, unknown, share
 
 
-def _level(margins: np.ndarray, kept: int) -> float:
-    """The margin that about `kept` of the samples (samples,) do not exceed; where samples tie
+def _level(margins: np.ndarray, seed_count: int) -> float:
+    """The margin that about `seed_count` of the samples (samples,) do not exceed; where samples tie
     there, with all of the tie or with none of it, whichever takes nearer as many; nan where that
     parts no samples."""
     ordered, count = np.sort(margins), len(margins)
-    low, high = ordered[kept - 1 : kept + 1]
+    low, high = ordered[seed_count - 1 : seed_count + 1]
     if low < high:
         return float(low if np.isinf(high) else 0.5 * (low + high))
     below, within = (int(np.searchsorted(ordered, low, side)) for side in ("left", "right"))
-    if below >= FEWEST_SEEDS * count and (within == count or below * within > kept**2):
+    if below >= FEWEST_SEEDS * count and (within == count or below * within > seed_count**2):
         return float(ordered[below - 1])
     return np.nan if within == count and low > 0 else float(low)
 
 
-def _seeds(margins: np.ndarray, level: float, kept: int, rng) -> np.ndarray:
+def _seeds(margins: np.ndarray, level: float, seed_count: int, rng) -> np.ndarray:
     """So many of the samples (samples,) at or below a level, the worst ones where these are just
     so many; of ties any."""
     inside = np.flatnonzero(margins <= level)
-    if len(inside) == kept:
+    if len(inside) == seed_count:
         return inside[np.argsort(margins[inside], kind="stable")]
-    return np.resize(rng.permutation(inside), kept)
+    return np.resize(rng.permutation(inside), seed_count)
 
 
 def _scale(finite: np.ndarray) -> float:
@@ -190,9 +190,9 @@ def _scale(finite: np.ndarray) -> float:
 def _worst(margins: np.ndarray, cuts) -> np.ndarray:
     """Margins (samples,) of a system from those of its limits (samples, limits), `BROKEN` at the
     least; -inf for lost runs alone."""
-    lost = np.isnan(margins).any(axis=1)
-    told = system_margin(np.where(lost[:, None], 0.0, margins), cuts)
-    return np.where(lost, -np.inf, np.maximum(told, BROKEN))
+    is_missing = np.isnan(margins).any(axis=1)
+    system = system_margin(np.where(is_missing[:, None], 0.0, margins), cuts)
+    return np.where(is_missing, -np.inf, np.maximum(system, BROKEN))
 
 
 def _conditioned(worst, seeds, margins, levels, rng) -> tuple[np.ndarray, np.ndarray]:
@@ -200,16 +200,16 @@ def _conditioned(worst, seeds, margins, levels, rng) -> tuple[np.ndarray, np.nda
     below the levels (repetitions,): (repetitions, samples, variables) and their margins."""
     steps = round(1 / SHARE)
     spread = np.full(len(seeds), FIRST_SPREAD)
-    places, found = [seeds], [margins]
+    places, values = [seeds], [margins]
     for step in range(1, steps):
         width = np.minimum(spread, 1.0)[:, None, None]
         moved = np.sqrt(1 - width**2) * places[-1] + width * rng.normal(size=seeds.shape)
         tried = worst(moved)
         taken = tried <= levels[:, None]
         places.append(np.where(taken[..., None], moved, places[-1]))
-        found.append(np.where(taken, tried, found[-1]))
+        values.append(np.where(taken, tried, values[-1]))
         spread *= np.exp((taken.mean(axis=1) - ACCEPTED) / np.sqrt(step))
-    return np.concatenate(places, axis=1), np.concatenate(found, axis=1)
+    return np.concatenate(places, axis=1), np.concatenate(values, axis=1)
 
 
 @dataclass
@@ -233,20 +233,20 @@ class Reach:
             if not share > 0.0 and not rare > FAR and self.normal is not None:
                 runs = self.model.runs - before
                 far = f"{runs} runs down to parts as rare as {rare:.0e}"
-                self.sentence = self._told(self.normal, far)
+                self.sentence = self._nearest_text(self.normal, far)
         return self.sentence
 
     def _see(self, normal: np.ndarray, margins: np.ndarray) -> None:
         """Of samples (samples, variables) with margins (samples, limits), known if not nan."""
-        known = np.where(np.isnan(margins), np.inf, margins)
-        told = system_margin(known, self.model.limit.cut_sets())
-        least = int(np.argmin(told))
-        if told[least] < self.margin:
-            self.normal, self.margin = normal[least], float(told[least])
+        finite = np.where(np.isnan(margins), np.inf, margins)
+        system = system_margin(finite, self.model.limit.cut_sets())
+        least = int(np.argmin(system))
+        if system[least] < self.margin:
+            self.normal, self.margin = normal[least], float(system[least])
 
-    def _told(self, normal: np.ndarray, far: str) -> str:
+    def _nearest_text(self, normal: np.ndarray, far: str) -> str:
         problem, limit = self.model.problem, self.model.limit
-        values = np.asarray(problem.inputs.values(jnp.asarray(normal)))
+        values = np.asarray(problem.inputs.values(normal))
         units, responses = problem.units(), problem.evaluate(jnp.asarray(values)).responses
         self.model.runs += 1
         nominal = np.asarray(problem.nominal())
@@ -257,8 +257,8 @@ class Reach:
             )
         )
         reached = ", ".join(
-            f"{own} = {float(responses[own]):.5g}{_unit(units[own])}"
-            for own in dict.fromkeys(part.response for part in limit.limits())
+            f"{response} = {float(responses[response]):.5g}{_unit(units[response])}"
+            for response in dict.fromkeys(part.response for part in limit.limits())
         )
         return (
             f"nothing fails in {far}: the limit ({limit.words()}) lies beyond everything seen. "

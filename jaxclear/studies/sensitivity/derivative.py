@@ -110,9 +110,9 @@ class Sensitivity(AbstractAnswer):
     def unit(self, response: str, variable: str) -> str:
         """Unit of a derivative, that of the response by that of the variable."""
         problem = self.sample.problem
-        known = dict(zip(problem.names, problem.variable_units, strict=True)) | self.units
+        units = dict(zip(problem.names, problem.variable_units, strict=True)) | self.units
         above = self.units.get(response) or problem.units()[response]
-        return unit_of_rate(above, known[variable])
+        return unit_of_rate(above, units[variable])
 
     def _shown(self):
         return "\n".join(self._lines())
@@ -123,8 +123,8 @@ class Sensitivity(AbstractAnswer):
 
     def _lines(self) -> list[str]:
         lines = [
-            found.sentence(self.unit(response, variable))
-            for (response, variable), found in self.derivatives.items()
+            derivative.sentence(self.unit(response, variable))
+            for (response, variable), derivative in self.derivatives.items()
         ]
         failed, count = len(self.sample.failed), self.sample.count
         if failed:
@@ -136,7 +136,7 @@ class Sensitivity(AbstractAnswer):
 
     def _stated(self):
         over, every = (RESPONSE, VARIABLE), self.derivatives
-        read = lambda part: {key: getattr(own, part) for key, own in every.items()}
+        read = lambda part: {key: getattr(e, part) for key, e in every.items()}
         columns = {
             "derivative": Column(
                 over, read("value"), error=read("error"), error_name="error (95 %)"
@@ -147,12 +147,12 @@ class Sensitivity(AbstractAnswer):
             "verdict": Column(over, read("verdict")),
             "trustworthy": Column(over, read("trustworthy"), only=DATASET),
         }
-        for method in dict.fromkeys(m for own in every.values() for m in own.estimates):
-            own = {key: d.estimates[method] for key, d in every.items() if method in d.estimates}
-            told = {part: {k: getattr(one, part) for k, one in own.items()} for part in PARTS}
-            columns[method] = Column(over, told["value"], error=told["error"])
-            columns[f"{method} refusal"] = Column(over, told["refusal"])
-            columns[f"{method} warnings"] = Column(over, told["warnings"])
+        for method in dict.fromkeys(m for e in every.values() for m in e.estimates):
+            ones = {key: d.estimates[method] for key, d in every.items() if method in d.estimates}
+            entries = {part: {k: getattr(one, part) for k, one in ones.items()} for part in PARTS}
+            columns[method] = Column(over, entries["value"], error=entries["error"])
+            columns[f"{method} refusal"] = Column(over, entries["refusal"])
+            columns[f"{method} warnings"] = Column(over, entries["warnings"])
         numbers = {"samples": self.sample.count}
         return Stated("sensitivity", columns, self.sample.problem, (), numbers)
 
@@ -193,7 +193,7 @@ def confirmed(
         verdict = unsure if vague else f"Unconfirmed: only {order[0]} has an answer.{why}"
         return answer(best.value, best.error, order[0], verdict)
     middle, spread = _covering([estimates[name] for name in order])
-    if spread <= STEPS * max(abs(middle), size.whole):
+    if spread <= STEPS * max(abs(middle), size.value):
         names = " and ".join(order)
         return answer(middle, spread, names, f"Agreed by {names}.", trustworthy=True)
     return answer(middle, spread, "spread of methods", "The methods disagree.")
@@ -202,7 +202,7 @@ def confirmed(
 def _covering(estimates: list[Estimate]) -> tuple[float, float]:
     """(a value near the more certain ones, half of an interval about it that holds the whole
     interval of each): of equally certain ones the middle."""
-    values, errors = (np.array(own) for own in zip(*[e[:2] for e in estimates], strict=True))
+    values, errors = (np.array(column) for column in zip(*[e[:2] for e in estimates], strict=True))
     # An error of zero would leave no weight to others that are as certain.
     weights = np.maximum(errors, max(ROUNDING * errors.max(), np.finfo(float).tiny)) ** -2.0
     middle = float(weights @ values / weights.sum())
@@ -213,19 +213,19 @@ def _without_unconfirmed(estimates: dict[str, Estimate]) -> dict[str, Estimate]:
     """The estimates, those in doubt refused unless they lie within the error of one without."""
     sure = [e for e in estimates.values() if not e.doubt and np.isfinite(e.value + e.error)]
 
-    def held(estimate):
+    def check(estimate):
         if not estimate.doubt or any(_agree(estimate, other) for other in sure):
             return estimate
         which = "other methods disagree" if sure else "no other method has an answer"
         return refused(f"{estimate.value:.4g}, but {which}, and {estimate.doubt}.")
 
-    return {name: held(estimate) for name, estimate in estimates.items()}
+    return {name: check(estimate) for name, estimate in estimates.items()}
 
 
 def _rounded(estimates: dict[str, Estimate], size: Size) -> dict[str, Estimate]:
     """The estimates with errors that hold what arithmetic leaves."""
-    off = lambda own: float(np.hypot(own.error, size.rounding))
-    return {name: own._replace(error=off(own)) for name, own in estimates.items()}
+    off = lambda estimate: float(np.hypot(estimate.error, size.rounding))
+    return {name: estimate._replace(error=off(estimate)) for name, estimate in estimates.items()}
 
 
 def _by_certainty(estimates: dict[str, Estimate], size: Size = Size()) -> list[str]:
@@ -235,7 +235,7 @@ def _by_certainty(estimates: dict[str, Estimate], size: Size = Size()) -> list[s
     if not order:
         return []
     best = answers[order[0]]
-    largest = max(VAGUE * (abs(best.value) + best.error), size.whole / VAGUE, size.rounding)
+    largest = max(VAGUE * (abs(best.value) + best.error), size.value / VAGUE, size.rounding)
     # A zero, but for rounding, makes no other answer vague.
     least = ROUNDING * max(answers[name].error for name in order)
     return [name for name in order if largest <= least or answers[name].error <= largest]

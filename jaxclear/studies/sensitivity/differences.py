@@ -13,7 +13,6 @@ import itertools
 from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from jaxclear.integrators import Outcome
@@ -41,38 +40,38 @@ class Runs(NamedTuple):
     """Several runs of each of a sample's values, after each other: what was found, and the
     scramblings (samples,)."""
 
-    found: SampleResult
+    result: SampleResult
     group: np.ndarray
 
     def and_also(self, other: "Runs") -> "Runs":
         """Both samples as one."""
-        return jax.tree.map(lambda *own: np.concatenate(own), self, other)
+        return jax.tree.map(lambda *arrays: np.concatenate(arrays), self, other)
 
     def good(self) -> np.ndarray:
         """Whether all runs of a sample reached their end, (samples,)."""
-        reached = np.asarray(self.found.outcome) == Outcome.REACHED
+        reached = np.asarray(self.result.outcome) == Outcome.REACHED
         return np.all(reached.reshape(len(self.group), -1), axis=1)
 
     def responses(self, name: str) -> np.ndarray:
         """Of the good samples, by which run of each: (runs of each, samples)."""
-        rows = np.asarray(self.found.responses[name]).reshape(len(self.group), -1)
+        rows = np.asarray(self.result.responses[name]).reshape(len(self.group), -1)
         return rows[self.good()].T
 
-    def answer(self, problem: Problem, one: Functional, own: Estimate) -> Estimate:
+    def answer(self, problem: Problem, one: Functional, estimate: Estimate) -> Estimate:
         """An estimate with the runs that it took, those that warn, and what it leaves out: samples
         of which some runs fail and others do not lie at an edge of what can be run, where slopes
         may be any."""
-        count, good = len(self.found.outcome), self.good()
+        count, good = len(self.result.outcome), self.good()
         among = np.repeat(good, count // len(self.group))
-        warned, warnings = concern(problem, one.response, self.found.checks, among)
-        reached = np.asarray(self.found.outcome) == Outcome.REACHED
+        warned, warnings = concern(problem, one.response, self.result.checks, among)
+        reached = np.asarray(self.result.outcome) == Outcome.REACHED
         edge = int(np.sum(reached.reshape(len(self.group), -1).any(axis=1) & ~good))
         if edge:
             out = f"{edge} of {len(good)} samples, which fail where they are moved, are left out"
             doubt = out if edge > FEW_WARNED * len(good) else ""
-            own = own._replace(doubt=doubt)
+            estimate = estimate._replace(doubt=doubt)
             warnings = f"{warnings} {out}.".strip()
-        return own._replace(warned=warned, warnings=warnings, runs=count)
+        return estimate._replace(warned=warned, warnings=warnings, runs=count)
 
 
 def looks(group: np.ndarray) -> list[np.ndarray]:
@@ -104,19 +103,19 @@ def moved(
     # Where it takes long to compile, and these are enough, by the program of the first look.
     one = len(values) >= FIRST and not problem.cost().cheap
     chunk = chunk_size(problem, len(SHIFTS) * FIRST) if one else None
-    flat = jnp.asarray(each.reshape(-1, each.shape[2]))
-    found = evaluate_all(problem, flat, chunk=chunk, progress_bar=progress_bar, label="differences")
-    return Runs(found, group)
+    flat = each.reshape(-1, each.shape[2])
+    rows = evaluate_all(problem, flat, chunk=chunk, progress_bar=progress_bar, label="differences")
+    return Runs(rows, group)
 
 
 def differences(
-    problem: Problem, runs: Runs, direction: Direction, wanted: list[Functional]
+    problem: Problem, runs: Runs, direction: Direction, functionals: list[Functional]
 ) -> dict[str, Estimate]:
     """Central differences over common random numbers by one step of the direction and half of it,
     extrapolated; by label of the statistics."""
     step, good = direction.step(problem), runs.good()
     group, answers = runs.group[good], {}
-    for one in wanted:
+    for one in functionals:
         if good.sum() < FEWEST:
             answers[one.label] = refused(
                 f"only {good.sum()} of {len(good)} samples ran at all four widths."
@@ -129,8 +128,8 @@ def differences(
             continue
         rows = one.bounded(rows)
 
-        def slopes(kept, rows=rows, one=one):
-            far_down, down, up, far_up = (one.value(row[kept]) for row in rows)
+        def slopes(mask, rows=rows, one=one):
+            far_down, down, up, far_up = (one.value(row[mask]) for row in rows)
             wide, narrow = (far_up - far_down) / (2 * step), (up - down) / step
             return np.array([wide, narrow, (4 * narrow - wide) / 3])
 
@@ -157,11 +156,11 @@ def _bend(problem: Problem, direction: Direction, one: Functional, rows: np.ndar
         return 0.0
     if min(one.deciding(row) for row in rows) >= FEWEST_DECIDING:
         return 0.0
-    own = problem.inputs.distributions[direction.variable]
-    densities = np.array(own.end_densities())
+    distribution = problem.inputs.distributions[direction.variable]
+    densities = np.array(distribution.end_densities())
     if not densities.any():
         return 0.0
-    ends = np.asarray(own.of_score(jnp.array([-END_SCORE, END_SCORE])))
+    ends = np.asarray(distribution.of_score(np.array([-END_SCORE, END_SCORE])))
     speeds = np.ones(2) if direction.number is None else ends / direction.number
     return float(np.max(np.abs(speeds) * densities))
 
@@ -175,7 +174,7 @@ def rarity(deciding: float, scramblings: int) -> float:
 
 def no_differences(problem: Problem, direction: Direction) -> str:
     """Why differences do not tell a derivative; "" where they do."""
-    own = problem.inputs.distributions[direction.variable]
-    if not own.is_continuous() and direction.number:
+    distribution = problem.inputs.distributions[direction.variable]
+    if not distribution.is_continuous() and direction.number:
         return "the variable comes in single sizes; its width has no meaning by itself."
     return ""

@@ -14,7 +14,6 @@ doi:10.1080/01621459.1974.10482962.
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -23,7 +22,8 @@ import scipy
 from jaxclear.ground.arguments import check_name, check_number, expect
 from jaxclear.ground.numerics import safe_divide
 from jaxclear.ground.wording import described, listed
-from jaxclear.studies.endless import INSTEAD, check_told, finite_beside
+from jaxclear.native.compiled import compiled_quickly
+from jaxclear.studies.endless import INSTEAD, check_within_horizon, replace_infinite
 from jaxclear.studies.problem import Problem
 from jaxclear.studies.statistics.scrambled import ordinary_quantile, smooth_quantile
 
@@ -34,16 +34,16 @@ SCORES_ASIDE = 0.3
 # what methods agreed on, 72 % held with two samples beyond a limit, 43 % with one.
 FEWEST_DECIDING = 4
 # Numbers of samples are told in multiples of this, as many as there are scramblings.
-WHOLE = 16
+ROUND_TO = 16
 WORDS = ("mean", "standard deviation")
 KINDS = ("quantile", "above", "below")
 
 
 class Size(NamedTuple):
-    """How large a derivative may be, in its unit: `whole` where all scatter of the response were a
+    """How large a derivative may be, in its unit: `value` where all scatter of the response were a
     line of the variable, `rounding` what arithmetic leaves of zero."""
 
-    whole: float = 0.0
+    value: float = 0.0
     rounding: float = 0.0
 
 
@@ -108,11 +108,11 @@ class Functional(NamedTuple):
         if deciding >= FEWEST_DECIDING:
             return ""
         count = len(rows[0])
-        told = f"only {deciding:.2g} of {count} samples decide it, and {FEWEST_DECIDING} should; "
+        text = f"only {deciding:.2g} of {count} samples decide it, and {FEWEST_DECIDING} should; "
         if not deciding:
-            return f"{told}take more samples, or jaxclear.reliability for what is rare."
-        enough = -(-int(np.ceil(FEWEST_DECIDING * count / deciding)) // WHOLE) * WHOLE
-        return f"{told}take about {by}={enough}, or jaxclear.reliability for what is rare."
+            return f"{text}take more samples, or jaxclear.reliability for what is rare."
+        enough = -(-int(np.ceil(FEWEST_DECIDING * count / deciding)) // ROUND_TO) * ROUND_TO
+        return f"{text}take about {by}={enough}, or jaxclear.reliability for what is rare."
 
     def unbounded(self, *rows: np.ndarray) -> str:
         """Why its derivative is not known from rows of responses (samples,) of which some are
@@ -120,15 +120,15 @@ class Functional(NamedTuple):
         endless = [int(np.isinf(row).sum()) for row in rows]
         if not any(endless) or self.kind in ("above", "below"):
             return ""
-        told = f"{max(endless)} of {len(rows[0])} samples are infinite, "
+        message = f"{max(endless)} of {len(rows[0])} samples are infinite, "
         if self.kind != "quantile":
-            return f"{told}of which there is no {self.kind}; {INSTEAD}."
+            return f"{message}of which there is no {self.kind}; {INSTEAD}."
         ends = [ordinary_quantile(row, share) for row in rows for share in self._around()]
-        return "" if np.all(np.isfinite(ends)) else f"{told}and the quantile is among them."
+        return "" if np.all(np.isfinite(ends)) else f"{message}and the quantile is among them."
 
     def bounded(self, rows: np.ndarray) -> np.ndarray:
         """Responses with finite numbers in place of infinite ones, where that is no difference."""
-        return finite_beside(rows, self.number if self.kind in ("above", "below") else None)
+        return replace_infinite(rows, self.number if self.kind in ("above", "below") else None)
 
     def _around(self) -> np.ndarray:
         """Shares (2,) [1] a little aside of that of the quantile."""
@@ -171,13 +171,13 @@ class Functional(NamedTuple):
     def size(self, sample: np.ndarray, step: float) -> Size:
         """How large its derivative may be, from a sample (samples,) of the response and the step of
         a direction. Sums of n numbers are off by n roundings at the most."""
-        seen = sample[np.isfinite(sample)]
-        if not len(seen):
+        finite = sample[np.isfinite(sample)]
+        if not len(finite):
             return Size()
-        whole = float(self.influence(seen)(seen).std()) / step
-        largest = 1.0 if self.kind in ("above", "below") else float(np.abs(seen).max())
-        rounding = len(seen) * np.finfo(float).eps * largest / step
-        return Size(whole, rounding)
+        size = float(self.influence(finite)(finite).std()) / step
+        largest = 1.0 if self.kind in ("above", "below") else float(np.abs(finite).max())
+        rounding = len(finite) * np.finfo(float).eps * largest / step
+        return Size(size, rounding)
 
     def tangent(self, responses: np.ndarray, tangents: np.ndarray) -> Any:
         """Single runs' parts of the derivative, from their tangents; None where tangents do not
@@ -199,33 +199,33 @@ def functionals(of: Any, problem: Problem) -> list[Functional]:
         of = dict.fromkeys(problem.response_names, of)
     for name in of:
         check_name("response", name, problem.response_names, " in this problem")
-    asked = [_functional(name, one) for name, own in of.items() for one in _several(own)]
-    for one in asked:
+    result = [_functional(name, one) for name, kinds in of.items() for one in _several(kinds)]
+    for one in result:
         if one.kind in ("above", "below"):
-            check_told(problem, one.response, one.number)
-    return asked
+            check_within_horizon(problem, one.response, one.number)
+    return result
 
 
-def _several(given: Any) -> list:
-    pair = isinstance(given, tuple) and len(given) == 2 and given[0] in KINDS
-    if isinstance(given, str) or pair:
-        return [given]
-    expect(given, (list, tuple), "of of sensitivity", 'statistics, such as ("mean",)')
-    if not given:
+def _several(value: Any) -> list:
+    pair = isinstance(value, tuple) and len(value) == 2 and value[0] in KINDS
+    if isinstance(value, str) or pair:
+        return [value]
+    expect(value, (list, tuple), "of of sensitivity", 'statistics, such as ("mean",)')
+    if not value:
         raise ValueError("of of sensitivity is empty; it must hold at least one statistic.")
-    return list(given)
+    return list(value)
 
 
-def _functional(response: str, given: Any) -> Functional:
-    if isinstance(given, str) and given not in KINDS:
-        check_name("statistic of sensitivity", given, WORDS)
-        return Functional(response, given)
-    if not isinstance(given, (tuple, list)) or len(given) != 2 or given[0] not in KINDS:
+def _functional(response: str, value: Any) -> Functional:
+    if isinstance(value, str) and value not in KINDS:
+        check_name("statistic of sensitivity", value, WORDS)
+        return Functional(response, value)
+    if not isinstance(value, (tuple, list)) or len(value) != 2 or value[0] not in KINDS:
         raise ValueError(
-            f'a statistic of sensitivity is {described(given)}; it must be "mean", "standard '
+            f'a statistic of sensitivity is {described(value)}; it must be "mean", "standard '
             'deviation", ("quantile", share), ("above", limit) or ("below", limit).'
         )
-    kind, number = given
+    kind, number = value
     if kind == "quantile":
         check_number('"quantile" of sensitivity', number, above=0, below=1)
     check_number(f'"{kind}" of sensitivity', number)
@@ -244,8 +244,8 @@ class Direction(NamedTuple):
         """Of the variable's values (samples, variables), per unit: (samples,)."""
         if self.number is None:
             return np.ones(len(values))
-        own = values[:, self.variable] - float(problem.nominal()[self.variable])
-        return own / self.number
+        deviations = values[:, self.variable] - float(problem.nominal()[self.variable])
+        return deviations / self.number
 
     def step(self, problem: Problem) -> float:
         """How far a difference moves it [its unit]: by one standard deviation, or half a width."""
@@ -254,24 +254,24 @@ class Direction(NamedTuple):
         return 0.5 * self.number
 
 
-def directions(problem: Problem, wanted: list[str]) -> list[Direction]:
+def directions(problem: Problem, names: list[str]) -> list[Direction]:
     """The directions of these names: a variable's own, or that of its width, "tolerance of
     clearance". Raises `ValueError` for names that there are not."""
-    known = {name: Direction(name, i, None) for i, name in enumerate(problem.names)}
+    by_name = {name: Direction(name, i, None) for i, name in enumerate(problem.names)}
     marginals = problem.marginals
-    for i, (name, own) in enumerate(marginals.items()):
-        what, number = own.width()
-        known[f"{what} of {name}"] = Direction(f"{what} of {name}", i, float(number))
-    for name in wanted:
+    for i, (name, marginal) in enumerate(marginals.items()):
+        what, number = marginal.width()
+        by_name[f"{what} of {name}"] = Direction(f"{what} of {name}", i, float(number))
+    for name in names:
         near = [one for one in problem.names if str(name).endswith(f" of {one}")]
-        if name not in known and near:
+        if name not in by_name and near:
             what = marginals[near[-1]].width()[0]
             raise ValueError(f'no "{name}" in this problem; there is "{what} of {near[-1]}".')
-        if name in problem.variables and name not in known:
+        if name in problem.variables and name not in by_name:
             numbers = listed(one for one in problem.names if one.startswith(f"{name} "))
             raise ValueError(f'"{name}" has several numbers; take a derivative by each: {numbers}.')
-        check_name("variable", name, known, " in this problem")
-    return [known[name] for name in wanted]
+        check_name("variable", name, by_name, " in this problem")
+    return [by_name[name] for name in names]
 
 
 def _speed(distribution, number):
@@ -284,10 +284,10 @@ def _speed(distribution, number):
     return speed
 
 
-@eqx.filter_jit
+@compiled_quickly
 def _weights(distribution, number, scores, leaning):
-    found, rate = jax.jvp(_speed(distribution, number), (scores,), (jnp.ones_like(scores),))
-    return found * leaning - rate
+    speed, rate = jax.jvp(_speed(distribution, number), (scores,), (jnp.ones_like(scores),))
+    return speed * leaning - rate
 
 
 def weights(problem: Problem, direction: Direction, normal: np.ndarray) -> np.ndarray:
@@ -302,5 +302,5 @@ def weights(problem: Problem, direction: Direction, normal: np.ndarray) -> np.nd
         scores = normal @ np.asarray(inputs.root)[i]
         # The i-th component of correlation^-1 scores.
         leaning = normal @ np.asarray(inputs.inverse_root)[:, i]
-    own = inputs.distributions[i]
-    return np.asarray(_weights(own, direction.number, jnp.asarray(scores), jnp.asarray(leaning)))
+    law = inputs.distributions[i]
+    return np.asarray(_weights(law, direction.number, scores, leaning))

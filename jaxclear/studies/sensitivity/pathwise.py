@@ -37,8 +37,8 @@ def _tangents_of_chunk(problem: Problem, packed: Float[Array, "samples pairs"]) 
             result = problem.evaluate(values, discrete_derivatives=True)
             return result.responses, (result.outcome, result.ended, result.checks)
 
-        found, tangents, rest = jax.jvp(responses, (row[:count],), (row[count:],), has_aux=True)
-        both = {name: jnp.stack([found[name], tangents[name]]) for name in found}
+        values, tangents, rest = jax.jvp(responses, (row[:count],), (row[count:],), has_aux=True)
+        both = {name: jnp.stack([values[name], tangents[name]]) for name in values}
         return SampleResult(both, *rest)
 
     return jax.vmap(one)(packed)
@@ -48,7 +48,7 @@ def pathwise(
     problem: Problem,
     sample: tuple[np.ndarray, np.ndarray],
     direction: Direction,
-    wanted: list[Functional],
+    functionals: list[Functional],
     *,
     progress_bar: bool = False,
 ) -> dict[str, Estimate]:
@@ -58,18 +58,18 @@ def pathwise(
     refusal, doubt = problem.description.derivative
     values, group = sample
     if refusal:
-        return {one.label: refused(refusal) for one in wanted}
+        return {one.label: refused(refusal) for one in functionals}
     axes = np.zeros_like(values)
     axes[:, direction.variable] = direction.velocities(problem, values)
     packed = jnp.asarray(np.concatenate([values, axes], axis=1))
-    found = evaluate_all(
+    result = evaluate_all(
         problem, packed, progress_bar=progress_bar, label="tangents", function=_tangents_of_chunk
     )
-    good = np.asarray(found.outcome == Outcome.REACHED)
+    good = np.asarray(result.outcome == Outcome.REACHED)
     answers = {}
-    for one in wanted:
-        share, words = concern(problem, one.response, found.checks, good)
-        responses, tangents = np.asarray(found.responses[one.response])[good].T
+    for one in functionals:
+        share, words = concern(problem, one.response, result.checks, good)
+        responses, tangents = np.asarray(result.responses[one.response])[good].T
         answer = _mean_tangent(one, responses, tangents, group[good])
         answers[one.label] = answer._replace(
             doubt=doubt, warned=share, warnings=words, runs=len(good)
@@ -89,7 +89,7 @@ def _mean_tangent(
     if one.tangent(responses, tangents) is None:
         return refused("tangents of runs do not tell how many parts pass a value.")
     parts = pseudo_values(
-        lambda kept: float(np.mean(one.tangent(responses[kept], tangents[kept]))), group
+        lambda mask: float(np.mean(one.tangent(responses[mask], tangents[mask]))), group
     )
     answer = from_parts(parts)
     if answer.error > REFUSAL_SPREAD * np.median(abs(tangents)):

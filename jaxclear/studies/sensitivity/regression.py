@@ -20,13 +20,10 @@ sampling: Hesterberg 1995, Technometrics 37, 185, doi:10.1080/00401706.1995.1048
 
 from typing import NamedTuple
 
-import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 import scipy
 
 from jaxclear.studies.distribution.base import END_SCORE
-from jaxclear.studies.inputs import Inputs
 from jaxclear.studies.monte_carlo import MonteCarlo
 from jaxclear.studies.problem import Problem
 from jaxclear.studies.sampling import by_scrambling, draw
@@ -85,19 +82,17 @@ def runs_outside(problem: Problem, scramblings: np.ndarray, seed: int, progress_
     ]
     shares = np.concatenate(numbers) if each else np.zeros((0, count))
     # Points in a row fill the space, each fourth of them a corner of it.
-    own = SCALES[np.arange(each) * len(SCALES) // max(each, 1)]
-    scales = np.tile(own, len(names))[:, None]
+    factors = SCALES[np.arange(each) * len(SCALES) // max(each, 1)]
+    scales = np.tile(factors, len(names))[:, None]
     # Within the scores at which distributions are asked.
     inside = scipy.special.ndtr(-END_SCORE / scales)
     normal = scales * scipy.special.ndtri(inside + (1.0 - 2.0 * inside) * shares)
-    values = np.asarray(problem.inputs.values(jnp.asarray(normal)))
+    values = np.asarray(problem.inputs.values(normal))
     group = np.repeat(names, each)
     if not len(shares):
         return Outer(normal, values, {n: np.zeros(0) for n in problem.response_names}, group)
-    found = evaluate_all(
-        problem, jnp.asarray(values), progress_bar=progress_bar, label="further out"
-    )
-    return Outer(normal, values, found.reached_responses(), group)
+    result = evaluate_all(problem, values, progress_bar=progress_bar, label="further out")
+    return Outer(normal, values, result.reached_responses(), group)
 
 
 def mixture_weights(normal: np.ndarray, inside: int) -> np.ndarray:
@@ -107,8 +102,8 @@ def mixture_weights(normal: np.ndarray, inside: int) -> np.ndarray:
     square = np.sum(normal**2, axis=1)
     wider = np.zeros(count)
     for scale in SCALES:
-        kept = 1.0 - 2.0 * scipy.special.ndtr(-END_SCORE / scale)
-        density = np.exp(0.5 * square * (1.0 - scale**-2.0)) / (scale * kept) ** variables
+        share_inside = 1.0 - 2.0 * scipy.special.ndtr(-END_SCORE / scale)
+        density = np.exp(0.5 * square * (1.0 - scale**-2.0)) / (scale * share_inside) ** variables
         wider += density / len(SCALES)
     return count / (inside + (count - inside) * wider)
 
@@ -129,25 +124,25 @@ def widened(
         return error
     deciding = total**2 / float((squares**2).sum())
     freedom = np.clip(deciding, 2.0, parts)
-    known = error * student(float(freedom)) / student(parts)
+    seen_error = error * student(float(freedom)) / student(parts)
     rms = float(np.sqrt(np.mean(outside**2))) if len(outside) else 0.0
-    return float(np.hypot(known, UNSEEN / count * rms * min(1.0, parts / deciding)))
+    return float(np.hypot(seen_error, UNSEEN / count * rms * min(1.0, parts / deciding)))
 
 
 def no_score_function(problem: Problem, direction: Direction) -> str:
     """Why the score function does not tell a derivative; "" where it does."""
     inputs, i = problem.inputs, direction.variable
-    own = inputs.distributions[i]
+    law = inputs.distributions[i]
     if any(first <= i < first + len(joint.parts) for first, joint in inputs.joints):
         return "the variable has several numbers, which end together; take differences."
-    if not own.is_continuous():
+    if not law.is_continuous():
         return "the variable comes in single sizes, which have no density; take differences."
     if inputs.independent:
-        ends = np.array(own.end_densities()) * float(own.deviation())
+        ends = np.array(law.end_densities()) * float(law.deviation())
         if np.any(ends > LARGEST_END_DENSITY):
             return "the density of the variable grows without bound at its end; take differences."
         return ""
-    if any(own.end_densities()) or not all(d.is_continuous() for d in inputs.distributions):
+    if any(law.end_densities()) or not all(d.is_continuous() for d in inputs.distributions):
         return (
             "the variable is cut off, or another one discrete, and variables are correlated: at "
             "its end the others have no distribution; take differences."
@@ -159,18 +154,18 @@ def runs_at_ends(
     problem: Problem, variable: int, scramblings: int, seed: int, progress_bar: bool
 ) -> Ends | None:
     """Runs with a variable at its ends, one for each scrambling; None where it has none."""
-    own = problem.inputs.distributions[variable]
-    densities = np.array(own.end_densities())
+    distribution = problem.inputs.distributions[variable]
+    densities = np.array(distribution.end_densities())
     if not densities.any():
         return None
     alone = len(problem.names) == 1
     base = draw(problem, 1 if alone else scramblings, seed, scramblings=1 if alone else scramblings)
     values = np.stack([base, base])
-    ends = np.asarray(own.of_score(jnp.array([-END_SCORE, END_SCORE])))
+    ends = np.asarray(distribution.of_score(np.array([-END_SCORE, END_SCORE])))
     values[:, :, variable] = float(problem.nominal()[variable]) + ends[:, None]
-    flat = jnp.asarray(values.reshape(-1, values.shape[2]))
-    found = evaluate_all(problem, flat, progress_bar=progress_bar, label="ends")
-    responses = {name: r.reshape(2, -1) for name, r in found.reached_responses().items()}
+    flat = values.reshape(-1, values.shape[2])
+    result = evaluate_all(problem, flat, progress_bar=progress_bar, label="ends")
+    responses = {name: r.reshape(2, -1) for name, r in result.reached_responses().items()}
     group = np.full(1, -1) if alone else np.arange(scramblings)
     return Ends(densities, ends, values, responses, group)
 
@@ -184,11 +179,11 @@ class LocalPolynomial:
         self.scale = np.asarray(problem.inputs.deviations())
         count, i = len(self.nominal), variable
         lines = [(j,) for j in range(count)]
-        own = [(i, i), (i, i, i)]
+        pure = [(i, i), (i, i, i)]
         squares = [(j, j) for j in range(count) if j != i]
         mixed = [(j, k) for j in range(count) for k in range(j)]
         self.terms: list[tuple[int, ...]] = [(), *lines]
-        for more in (own, squares, [p for p in mixed if i in p], [p for p in mixed if i not in p]):
+        for more in (pure, squares, [p for p in mixed if i in p], [p for p in mixed if i not in p]):
             if len(self.terms) + len(more) <= samples / SAMPLES_A_TERM:
                 self.terms += more
         self.variable = variable
@@ -214,7 +209,7 @@ class LocalPolynomial:
 def regressions(
     sample: MonteCarlo,
     direction: Direction,
-    wanted: list[Functional],
+    functionals: list[Functional],
     ends: Ends | None,
     outer: Outer | None,
 ) -> dict[str, Estimate]:
@@ -229,36 +224,36 @@ def regressions(
     elif np.ptp(values[:, i]) == 0:
         why = "the variable does not vary in the sample."
     if why:
-        return {one.label: refused(why) for one in wanted}
+        return {one.label: refused(why) for one in functionals}
     assert outer is not None
     fit = LocalPolynomial(problem, i, len(values))
-    normal = np.asarray(normal_scores_of(problem.inputs, jnp.asarray(values)))
+    normal = np.asarray(problem.inputs.normal(values))
     weight = weights(problem, direction, np.concatenate([normal, outer.normal]))
     many = Many.drawn(problem, direction, fit, len(np.unique(group)), MANY_SEED + sample.seed)
     answers = {}
-    for one in wanted:
+    for one in functionals:
         responses = sample.responses[one.response][good]
         few = one.undecided(responses, by="sample") or one.unbounded(responses)
         if few:
             answers[one.label] = refused(few)
             continue
         joined = _Joined.of(one, (values, normal, responses, group), weight, outer)
-        own = Slope(one, joined, fit.basis(joined.values), many)
+        estimator = Slope(one, joined, fit.basis(joined.values), many)
         ending = None if ends is None else ending_of(ends, fit, direction, one)
-        slope = lambda kept, own=own, ending=ending: own.of(kept, ending)
+        slope = lambda mask, estimator=estimator, ending=ending: estimator.of(mask, ending)
         # What the many points do not know of the polynomial's slope is shared out to the parts.
-        parts = pseudo_values(slope, joined.group) + own.scatter()
-        told = concern(problem, one.response, sample.checks, good)
-        bias = abs(parts.mean()) * own.unknown
+        parts = pseudo_values(slope, joined.group) + estimator.scatter()
+        warning = concern(problem, one.response, sample.checks, good)
+        bias = abs(parts.mean()) * estimator.unknown
         answer = from_parts(parts, bias)
-        left = own.left
+        resid = estimator.residuals
         answer = answer._replace(
             error=widened(
-                answer.error, joined.ratio * left, left[~joined.inside], len(left), len(parts)
+                answer.error, joined.ratio * resid, resid[~joined.inside], len(resid), len(parts)
             )
         )
         runs = sample.count + len(outer.values) + (0 if ends is None else ends.values[..., 0].size)
-        answers[one.label] = answer._replace(warned=told[0], warnings=told[1], runs=runs)
+        answers[one.label] = answer._replace(warned=warning[0], warnings=warning[1], runs=runs)
     return answers
 
 
@@ -282,11 +277,11 @@ class _Joined(NamedTuple):
         more = outer.values, outer.normal, outer.responses[one.response], outer.scrambling
         count, good = len(sample[0]), np.isfinite(more[2])
         values, normal, responses, group = (
-            np.concatenate([own, further[good]]) for own, further in zip(sample, more, strict=True)
+            np.concatenate([old, further[good]]) for old, further in zip(sample, more, strict=True)
         )
-        kept = np.concatenate([np.ones(count, bool), good])
+        mask = np.concatenate([np.ones(count, bool), good])
         inside, ratio = np.arange(len(values)) < count, mixture_weights(normal, count)
-        return cls(values, one.bounded(responses), group, weight[kept], inside, ratio)
+        return cls(values, one.bounded(responses), group, weight[mask], inside, ratio)
 
 
 class Many(NamedTuple):
@@ -319,15 +314,9 @@ class Ending(NamedTuple):
 def ending_of(ends: Ends, fit: LocalPolynomial, direction: Direction, one: Functional) -> Ending:
     """The ends as the response of one statistic sees them."""
     speeds = np.ones(2) if direction.number is None else ends.velocities / direction.number
-    basis = np.stack([fit.basis(own) for own in ends.values])
+    basis = np.stack([fit.basis(row) for row in ends.values])
     factors = np.array([-1.0, 1.0]) * speeds * ends.densities
     return Ending(factors, basis, one.bounded(ends.responses[one.response]), ends.scrambling)
-
-
-@eqx.filter_jit
-def normal_scores_of(inputs: Inputs, values):
-    """Independent standard normal numbers of a sample; compiled once for a problem."""
-    return inputs.normal(values)
 
 
 def fitted(basis: np.ndarray, target: np.ndarray, ratio: np.ndarray | None = None) -> np.ndarray:
@@ -343,42 +332,42 @@ class Slope:
 
     Where parts are told apart (a limit, a quantile) and how dense they are there is read from the
     whole sample once: both jump as samples come and go. `unknown` [1] is what half of the 95 %
-    interval of the density leaves unknown of the derivative; `left` (samples,) is what each adds
-    beside the polynomial.
+    interval of the density leaves unknown of the derivative; `residuals` (samples,) is what each
+    adds beside the polynomial.
     """
 
     def __init__(self, one: Functional, joined: _Joined, basis, many: Many):
         self.one, self.joined, self.basis = one, joined, basis
         self.many, self.last = many, np.zeros(len(many.basis))
-        self.left = np.zeros(len(basis))
+        self.residuals = np.zeros(len(basis))
         responses, inner = joined.responses[joined.inside], basis[joined.inside]
         surface = fitted(inner, responses)
         larger = self._larger(surface, responses, inner)
         self.place, self.unknown = one.place(larger), one.unknown(larger)
-        self.whole = one.influence(larger)
+        self.full_influence = one.influence(larger)
 
-    def of(self, kept: np.ndarray, ending: Ending | None) -> float:
-        """From the samples `kept` (samples,)."""
-        joined, inner = self.joined, kept & self.joined.inside
+    def of(self, mask: np.ndarray, ending: Ending | None) -> float:
+        """From the samples `mask` (samples,)."""
+        joined, inner = self.joined, mask & self.joined.inside
         y, basis = joined.responses[inner], self.basis[inner]
-        influence = self.one.influence(y) if self.place is None else self.whole
+        influence = self.one.influence(y) if self.place is None else self.full_influence
         step = self._step(y, basis)
-        target, own, ratio = (
-            influence(joined.responses[kept]), step(self.basis[kept]), joined.ratio[kept],
+        target, rows, ratio = (
+            influence(joined.responses[mask]), step(self.basis[mask]), joined.ratio[mask],
         )  # fmt: skip
-        found = fitted(own, target, ratio)
-        left = (target - own @ found) * joined.weight[kept]
-        each = np.array([np.mean(step(b, d) @ found) for b, d in zip(*self.many, strict=True)])
-        if kept.all():
-            self.last, self.left = each - each.mean(), left
-        total = each.mean() + np.average(left, weights=ratio)
+        theta = fitted(rows, target, ratio)
+        residuals = (target - rows @ theta) * joined.weight[mask]
+        each = np.array([np.mean(step(b, d) @ theta) for b, d in zip(*self.many, strict=True)])
+        if mask.all():
+            self.last, self.residuals = each - each.mean(), residuals
+        total = each.mean() + np.average(residuals, weights=ratio)
         if ending is None:
             return total
-        chosen = np.isin(ending.scrambling, joined.group[kept]) | (ending.scrambling < 0)
+        chosen = np.isin(ending.scrambling, joined.group[mask]) | (ending.scrambling < 0)
         for factor, terms, runs in zip(*ending[:3], strict=True):
-            left = influence(runs[chosen]) - step(terms[chosen]) @ found
-            left = left[np.isfinite(runs[chosen])]
-            total += factor * left.mean() if len(left) else 0.0
+            residuals = influence(runs[chosen]) - step(terms[chosen]) @ theta
+            residuals = residuals[np.isfinite(runs[chosen])]
+            total += factor * residuals.mean() if len(residuals) else 0.0
         return total
 
     def scatter(self) -> np.ndarray:
@@ -407,8 +396,8 @@ class Slope:
     def _larger(self, surface, responses, basis) -> np.ndarray:
         """A larger sample like this one where the surface explains it: what it leaves, spread over
         many points; the sample itself elsewhere."""
-        left = responses - basis @ surface
-        if np.var(left) > (1.0 - EXPLAINED) * np.var(responses):
+        residuals = responses - basis @ surface
+        if np.var(residuals) > (1.0 - EXPLAINED) * np.var(responses):
             return responses
         smooth = (self.many.basis @ surface).ravel()
-        return smooth + np.resize(left, len(smooth))
+        return smooth + np.resize(residuals, len(smooth))

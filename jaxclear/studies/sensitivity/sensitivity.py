@@ -42,7 +42,7 @@ from jaxclear.studies.sensitivity.regression import (
     runs_outside,
 )
 from jaxclear.studies.sensitivity.steps import error_by_steps
-from jaxclear.studies.store.result import GivenSample, given_sample
+from jaxclear.studies.store.result import GivenSample, sample_of
 from jaxclear.studies.store.store import stored
 
 METHODS = ("regression", "differences", "pathwise")
@@ -101,36 +101,36 @@ def sensitivity(
     expect(problem, Problem, "what is differentiated", "a jaxclear.Problem")
     variables = [variables] if isinstance(variables, str) else variables
     _check(variables, sample, difference_samples, methods, seed)
-    wanted = directions(problem, list(problem.names if variables is None else variables))
-    asked = functionals(of, problem)
+    all_directions = directions(problem, list(problem.names if variables is None else variables))
+    estimands = functionals(of, problem)
     if isinstance(sample, GivenSample):
-        drawn = given_sample(problem, sample)
+        drawn = sample_of(problem, sample)
     else:
         drawn = monte_carlo(problem, sample, seed=seed, verify=verify, progress_bar=progress_bar)
-    found: dict[Direction, dict] = {}
+    results: dict[Direction, dict] = {}
     # Once for all directions of a variable.
     ends: dict[int, Ends | None] = {}
     bar = {"progress_bar": progress_bar}
     outer = None
     # Where no direction has a score function no regression would see them.
-    if "regression" in methods and not all(no_score_function(problem, own) for own in wanted):
+    if "regression" in methods and not all(no_score_function(problem, d) for d in all_directions):
         outer = runs_outside(problem, drawn.scrambling, seed_of(seed, SEEDS, 4), **bar)
-    for direction in wanted:
+    for direction in all_directions:
         answers: dict[str, dict[str, Estimate]] = {}
         if "regression" in methods:
             place, parts = direction.variable, len(np.unique(drawn.scrambling))
             if place not in ends:
                 ends[place] = runs_at_ends(problem, place, parts, seed_of(seed, SEEDS, 3), **bar)
-            answers["regression"] = regressions(drawn, direction, asked, ends[place], outer)
-        sampled = lambda own: _shared(problem, difference_samples, seed_of(seed, SEEDS, own))
+            answers["regression"] = regressions(drawn, direction, estimands, ends[place], outer)
+        sampled = lambda d: _shared(problem, difference_samples, seed_of(seed, SEEDS, d))
         if "pathwise" in methods:
-            answers["pathwise"] = pathwise(problem, sampled(2), direction, asked, **bar)
+            answers["pathwise"] = pathwise(problem, sampled(2), direction, estimands, **bar)
         if "differences" in methods:
             answers["differences"] = _confirming_differences(
-                problem, direction, sampled(1), answers, asked, progress_bar
+                problem, direction, sampled(1), answers, estimands, progress_bar
             )
-        found[direction] = {name: answers[name] for name in METHODS if name in answers}
-    return _met(found, asked, drawn)
+        results[direction] = {name: answers[name] for name in METHODS if name in answers}
+    return _merge(results, estimands, drawn)
 
 
 def _confirming_differences(
@@ -138,37 +138,37 @@ def _confirming_differences(
     direction: Direction,
     sample: tuple[np.ndarray, np.ndarray],
     others: dict[str, dict[str, Estimate]],
-    asked: list[Functional],
+    functionals: list[Functional],
     progress_bar: bool,
 ) -> dict[str, Estimate]:
     """Differences along a direction on as much of a sample, values (samples, variables) and their
     scramblings (samples,), as confirms what `others` answer, by method and label."""
     why = no_differences(problem, direction)
     if why:
-        return {one.label: refused(why) for one in asked}
+        return {one.label: refused(why) for one in functionals}
     values, group = sample
     runs: Runs | None = None
     answers: dict[str, Estimate] = {}
-    left = asked
+    remaining = functionals
     for look in looks(group):
-        if not left:
+        if not remaining:
             break
         new = moved(problem, (values[look], group[look]), direction, progress_bar=progress_bar)
         runs = new if runs is None else runs.and_also(new)
-        answers |= differences(problem, runs, direction, left)
+        answers |= differences(problem, runs, direction, remaining)
         every = others | {"differences": answers}
-        known = lambda one, every=every: {name: of[one.label] for name, of in every.items()}
-        left = [one for one in asked if not confirms(known(one), "differences")]
+        estimates_of = lambda one, every=every: {name: of[one.label] for name, of in every.items()}
+        remaining = [one for one in functionals if not confirms(estimates_of(one), "differences")]
     return answers
 
 
-def _met(found: dict[Direction, dict], asked: list[Functional], drawn: MonteCarlo) -> Sensitivity:
+def _merge(every: dict[Direction, dict], goals: list[Functional], drawn: MonteCarlo) -> Sensitivity:
     """One answer from the methods' answers, for each direction and statistic."""
     derivatives = {}
-    for direction, answers in found.items():
+    for direction, answers in every.items():
         step = direction.step(drawn.problem)
-        for one in asked:
-            estimates = {method: own[one.label] for method, own in answers.items()}
+        for one in goals:
+            estimates = {method: by_label[one.label] for method, by_label in answers.items()}
             key = one.label, direction.label
             size = one.size(drawn.good(one.response)[0], step)
             answer = confirmed(*key, estimates, size)
@@ -179,12 +179,12 @@ def _met(found: dict[Direction, dict], asked: list[Functional], drawn: MonteCarl
             # What brings the sample's response in doubt, and what the sample lacks of what was
             # asked for.
             doubts = [unresolved, *drawn.doubts_of(one.response), drawn.unreached]
-            told = " ".join(filter(None, [answer.verdict, *doubts]))
-            whole = answer.error if steps is None or unresolved else steps.whole
-            derivatives[key] = dataclasses.replace(answer, verdict=told, error=whole)
+            verdict = " ".join(filter(None, [answer.verdict, *doubts]))
+            error = answer.error if steps is None or unresolved else steps.whole
+            derivatives[key] = dataclasses.replace(answer, verdict=verdict, error=error)
     problem = drawn.problem
-    units = {one.label: one.unit(problem.units()[one.response]) for one in asked}
-    units |= {d.label: problem.variable_units[d.variable] for d in found}
+    units = {one.label: one.unit(problem.units()[one.response]) for one in goals}
+    units |= {d.label: problem.variable_units[d.variable] for d in every}
     return Sensitivity(derivatives, drawn, units)
 
 

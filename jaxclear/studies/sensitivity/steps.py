@@ -32,14 +32,14 @@ def error_by_steps(
     replicas = sample.replicas
     if replicas is None:
         return None
-    own, finer = replicas.own[one.response], replicas.responses[one.response]
-    good = np.isfinite(own) & np.isfinite(finer)
-    own, finer = own[good], finer[good]
+    values, finer = replicas.coarse[one.response], replicas.responses[one.response]
+    good = np.isfinite(values) & np.isfinite(finer)
+    values, finer = values[good], finer[good]
     terms, mean_slopes = _terms(sample, direction)
     terms = terms[: len(good)][good]
     freedom = len(terms) - terms.shape[1]
     if freedom < 1:
-        return NumericalError(0.0, np.inf, error, len(own))
+        return NumericalError(0.0, np.inf, error, len(values))
 
     def mean_slope(target: np.ndarray) -> tuple[float, float]:
         """The mean slope along the direction of what is fitted to these values (replicas,), and
@@ -49,11 +49,11 @@ def error_by_steps(
         factor = mean_slopes @ np.linalg.pinv(terms.T @ terms) @ mean_slopes
         return float(mean_slopes @ fitted), student(freedom + 1) * float(np.sqrt(variance * factor))
 
-    is_smooth = one.place(own) is None
+    is_smooth = one.place(values) is None
     of = one.influence if is_smooth else (lambda _: lambda y: y)
-    bias, uncertainty = mean_slope((of(own)(own) - of(finer)(finer)) / (1 - replicas.share))
-    share = 1.0 if is_smooth else abs(value / mean_slope(own)[0])
-    return NumericalError(share * bias, share * uncertainty, error, len(own))
+    bias, uncertainty = mean_slope((of(values)(values) - of(finer)(finer)) / (1 - replicas.share))
+    share = 1.0 if is_smooth else abs(value / mean_slope(values)[0])
+    return NumericalError(share * bias, share * uncertainty, error, len(values))
 
 
 def _terms(sample: MonteCarlo, direction: Direction) -> tuple[np.ndarray, np.ndarray]:

@@ -15,39 +15,41 @@ from jaxclear.ground.printing import with_text_repr
 from jaxclear.studies.statistics.scrambled import jackknifed, student
 
 # What is asked of each response by name, and whether it is a share of its root mean square.
-Asked = tuple[dict[str, float], bool]
+Goals = tuple[dict[str, float], bool]
 # Responses by name (samples,) of some samples, and their scramblings (samples,).
 Piece = tuple[dict[str, np.ndarray], np.ndarray]
 
 
-def asked_of(accuracy: Any, responses: tuple[str, ...], owner: str = "monte_carlo") -> Asked | None:
+def parse_accuracy(
+    accuracy: Any, responses: tuple[str, ...], owner: str = "monte_carlo"
+) -> Goals | None:
     """What a user asks of the means. Raises `ValueError` with a sentence."""
     if accuracy is None:
         return None
     if not isinstance(accuracy, Mapping):
         check_number(f"accuracy of {owner}", accuracy, above=0)
         return dict.fromkeys(responses, float(accuracy)), True
-    for name, wanted in accuracy.items():
+    for name, value in accuracy.items():
         check_name("response", name, responses, " in this problem")
-        check_number(f'accuracy of "{name}"', wanted, above=0)
-    return {name: float(wanted) for name, wanted in accuracy.items()}, False
+        check_number(f'accuracy of "{name}"', value, above=0)
+    return {name: float(value) for name, value in accuracy.items()}, False
 
 
-def told(asked: Asked, pieces: Iterable[Piece]) -> dict[str, tuple[float, float]]:
+def missed_accuracies(request: Goals, pieces: Iterable[Piece]) -> dict[str, tuple[float, float]]:
     """(half of the 95 % interval, what was asked) of each mean that is not known well enough, of a
     sample that comes in pieces, one in memory at a time."""
-    sums = {name: np.zeros((3, 0)) for name in asked[0]}
+    sums = {name: np.zeros((3, 0)) for name in request[0]}
     for responses, group in pieces:
-        sums = {name: _added(own, responses[name], group) for name, own in sums.items()}
+        sums = {name: _added(previous, responses[name], group) for name, previous in sums.items()}
     short = {}
-    for name, wanted in asked[0].items():
+    for name, target in request[0].items():
         parts = sums[name].T[sums[name][0] > 0]
         half = jackknifed(_mean, parts, np.arange(len(parts))).error if len(parts) > 1 else np.inf
         count, _, squares = parts.sum(axis=0)
-        size = float(np.sqrt(squares / count)) if asked[1] and count else 1.0
+        size = float(np.sqrt(squares / count)) if request[1] and count else 1.0
         # A response that is always zero is known.
-        if not half <= wanted * size:
-            short[name] = half, wanted * size
+        if not half <= target * size:
+            short[name] = half, target * size
     return short
 
 
@@ -57,10 +59,10 @@ def _added(sums: np.ndarray, values: np.ndarray, group: np.ndarray) -> np.ndarra
     good = np.isfinite(values)
     more, place = values[good], group[good]
     width = max(sums.shape[1], int(place.max(initial=-1)) + 1)
-    known = np.pad(sums, ((0, 0), (0, width - sums.shape[1])))
+    padded = np.pad(sums, ((0, 0), (0, width - sums.shape[1])))
     # What is known comes first: all is added in the order of the samples, whatever the pieces.
     place = np.concatenate([np.arange(width), place])
-    pairs = zip(known, (np.ones_like(more), more, more**2), strict=True)
+    pairs = zip(padded, (np.ones_like(more), more, more**2), strict=True)
     return np.stack([np.bincount(place, np.concatenate(pair), width) for pair in pairs])
 
 
@@ -123,13 +125,13 @@ class NumericalError(NamedTuple):
     @property
     def unresolved(self) -> str:
         """A sentence for a bias that replicas do not resolve."""
-        told = f"Steps put it off by {self.bias:.2g} ± {self.uncertainty:.2g}, as far as"
-        few = f"{told} {self.replicas} replicas tell"
+        text = f"Steps put it off by {self.bias:.2g} ± {self.uncertainty:.2g}, as far as"
+        few = f"{text} {self.replicas} replicas tell"
         return f"{few}; about {self.wanted:.0f} would." if np.isfinite(self.wanted) else f"{few}."
 
 
 def bias_of(
-    own: np.ndarray,
+    values: np.ndarray,
     finer: np.ndarray,
     share: float,
     statistic: Callable[[np.ndarray], float] = np.mean,
@@ -137,11 +139,11 @@ def bias_of(
     """By how much a statistic is too large, and half of the 95 % interval of that: of what samples
     (pairs,) gave, and `finer` runs of theirs with steps of a `share` [1]. The interval is that of
     leaving out one pair after the other; of a mean that is Student's of the differences."""
-    count = len(own)
-    apart = lambda kept: (statistic(own[kept]) - statistic(finer[kept])) / (1 - share)
-    whole = float(apart(np.ones(count, bool))) if count else np.nan
+    count = len(values)
+    difference = lambda mask: (statistic(values[mask]) - statistic(finer[mask])) / (1 - share)
+    bias = float(difference(np.ones(count, bool))) if count else np.nan
     if count < 2:
-        return whole, np.inf
-    without = np.array([apart(kept) for kept in ~np.eye(count, dtype=bool)])
+        return bias, np.inf
+    without = np.array([difference(mask) for mask in ~np.eye(count, dtype=bool)])
     half = student(count) * float(without.std(ddof=1)) * (count - 1) / math.sqrt(count)
-    return whole, half if np.isfinite(half) else np.inf
+    return bias, half if np.isfinite(half) else np.inf

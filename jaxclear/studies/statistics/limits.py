@@ -63,11 +63,11 @@ def yield_of(
     the interval, inside at its upper."""
     inside = np.all([within(responses[name], pair) for name, pair in limits.items()], axis=0)
     good = np.setdiff1d(np.arange(len(group)), failed)
-    told = share(inside[good], group[good])
+    ratio = share(inside[good], group[good])
     if not len(failed):
-        return told
-    kept = len(good) / len(group)
-    return Statistic(told.value, told.low * kept, told.high * kept + 1.0 - kept)
+        return ratio
+    reached = len(good) / len(group)
+    return Statistic(ratio.value, ratio.low * reached, ratio.high * reached + 1.0 - reached)
 
 
 @with_text_repr
@@ -120,7 +120,7 @@ def normal_interval(
     factor = normal_factor(len(values), content, confidence, side == "both")
 
     def limit(sign: float) -> Statistic:
-        at = lambda own, parts: own.mean() + sign * factor * deviation(own, parts)
+        at = lambda numbers, parts: numbers.mean() + sign * factor * deviation(numbers, parts)
         return jackknifed(at, values, group, skewed=True, grouped=True)
 
     return _sided(limit(-1.0), limit(1.0), content, confidence, side)
@@ -132,9 +132,9 @@ def free_interval(
     """Of a response of any distribution, between two of the samples. Raises `ValueError` where the
     samples are too few, with how many are needed."""
     count = len(values)
-    left_out = np.arange(1, count // 2 + 1)
+    omitted = np.arange(1, count // 2 + 1)
     # The content between ordered samples follows a beta distribution.
-    outside = left_out * (2 if side == "both" else 1)
+    outside = omitted * (2 if side == "both" else 1)
     sure = scipy.stats.beta.sf(content, count + 1 - outside, outside) >= confidence
     if not sure.any():
         raise ValueError(
@@ -142,12 +142,12 @@ def free_interval(
             f"confidence of {confidence:g} that presumes no distribution; it needs "
             f"{fewest(content, confidence, side)}."
         )
-    rank = int(left_out[sure][-1])
+    rank = int(omitted[sure][-1])
     ordered = np.sort(values)
     ends = []
     for place, at in ((rank - 1, rank / count), (count - rank, 1 - rank / count)):
-        told = quantile(values, group, at)
-        ends.append(Statistic(float(ordered[place]), told.low, told.high))
+        statistic = quantile(values, group, at)
+        ends.append(Statistic(float(ordered[place]), statistic.low, statistic.high))
     return _sided(ends[0], ends[1], content, confidence, side)
 
 

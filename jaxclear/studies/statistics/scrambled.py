@@ -61,10 +61,10 @@ class Statistic(eqx.Module):
         unit = "" if self.unit in ("", "1") else f" {self.unit}"
         ends = [float(end) for end in self]
         if np.isfinite(self.low) != np.isfinite(self.high):
-            known = (
+            interval_text = (
                 f"at least {self.low:.6g}" if np.isfinite(self.low) else f"at most {self.high:.6g}"
             )
-            return f"{ends[0]:.6g}{unit} (95 %: {known})"
+            return f"{ends[0]:.6g}{unit} (95 %: {interval_text})"
         return f"{with_error(ends[0], float(self.error))}{unit}"
 
 
@@ -86,7 +86,7 @@ def standard_error(
 ) -> tuple[float, int]:
     """Standard error of a statistic of `values` (samples,) whose scramblings are `group`
     (samples,), and how many scramblings tell it."""
-    parts = pseudo_values(lambda kept: statistic(values[kept]), group)
+    parts = pseudo_values(lambda mask: statistic(values[mask]), group)
     count = len(parts)
     return float(parts.std(ddof=1) / np.sqrt(count)) if count > 1 else np.nan, count
 
@@ -95,11 +95,11 @@ def pseudo_values(statistic: Callable[[np.ndarray], Any], group: np.ndarray) -> 
     """Contributions (scramblings,) to a statistic of a selection (samples,) of the sample: their
     mean is the statistic without its first-order bias (jackknife)."""
     present = np.unique(group)
-    count, whole = len(present), statistic(np.ones(len(group), bool))
+    count, estimate = len(present), statistic(np.ones(len(group), bool))
     if count < 2:
-        return np.array([whole] * count)
-    without = np.array([statistic(group != own) for own in present])
-    return count * whole - (count - 1) * without
+        return np.array([estimate] * count)
+    without = np.array([statistic(group != label) for label in present])
+    return count * estimate - (count - 1) * without
 
 
 def jackknifed(
@@ -115,7 +115,7 @@ def jackknifed(
         return UNKNOWN
     of = statistic if grouped else lambda values, group: statistic(values)
     value = float(of(values, group))
-    parts = pseudo_values(lambda kept: of(values[kept], group[kept]), group)
+    parts = pseudo_values(lambda mask: of(values[mask], group[mask]), group)
     if len(parts) < 2 or not np.all(np.isfinite(parts)):
         return Statistic(value, -np.inf, np.inf)
     half = half_width(parts)
@@ -141,23 +141,24 @@ def skewed_half(parts: np.ndarray) -> float:
 
 
 def deviation_of_moments(
-    first: np.ndarray, second: np.ndarray, beside: float = 0.0
+    first: np.ndarray, second: np.ndarray, extra_variance: float = 0.0
 ) -> tuple[float, float]:
     """A standard deviation and half of its 95 % interval from contributions (scramblings,) to the
-    first and second moment about one place; `beside` is the variance of what else the second holds.
+    first and second moment about one place; `extra_variance` is the variance of what else the
+    second holds.
 
     Squares of means are products of different scramblings, so that the variance has no bias.
     """
     count = len(first)
 
-    def variance(kept):
-        one, n = first[kept], int(kept.sum())
-        return second[kept].mean() - (one.sum() ** 2 - (one**2).sum()) / (n * (n - 1))
+    def variance(mask):
+        one, n = first[mask], int(mask.sum())
+        return second[mask].mean() - (one.sum() ** 2 - (one**2).sum()) / (n * (n - 1))
 
-    whole, each = variance(np.ones(count, bool)), np.arange(count)
+    full, each = variance(np.ones(count, bool)), np.arange(count)
     half = skewed_half(pseudo_values(variance, each))
-    half = float(np.hypot(half, student(count) * np.sqrt(beside)))
-    root = float(np.sqrt(max(whole, 0.0)))
+    half = float(np.hypot(half, student(count) * np.sqrt(extra_variance)))
+    root = float(np.sqrt(max(full, 0.0)))
     return root, half / (2 * root) if root > 0 else np.inf
 
 
@@ -230,15 +231,15 @@ def share(inside: np.ndarray, group: np.ndarray) -> Statistic:
     count = len(inside)
     if count == 0:
         return UNKNOWN
-    found, value = int(inside.sum()), float(inside.mean())
+    k, value = int(inside.sum()), float(inside.mean())
     groups = len(np.unique(group))
-    if groups < 2 or min(found, count - found) < groups:
+    if groups < 2 or min(k, count - k) < groups:
         tail = 0.5 * (1 - CONFIDENCE)
-        low = scipy.stats.beta.ppf(tail, found, count - found + 1) if found else 0.0
-        high = scipy.stats.beta.ppf(1 - tail, found + 1, count - found) if found < count else 1.0
+        low = scipy.stats.beta.ppf(tail, k, count - k + 1) if k else 0.0
+        high = scipy.stats.beta.ppf(1 - tail, k + 1, count - k) if k < count else 1.0
         return Statistic(value, float(low), float(high))
-    told = jackknifed(np.mean, inside.astype(float), group)
-    return Statistic(value, max(told.low, 0.0), min(told.high, 1.0))
+    statistic = jackknifed(np.mean, inside.astype(float), group)
+    return Statistic(value, max(statistic.low, 0.0), min(statistic.high, 1.0))
 
 
 def capability(low: float | None, high: float | None) -> Callable[..., float]:
@@ -270,13 +271,13 @@ def error_budget(
         return lambda rows, group: _parts(rows, group)[which].sum()
 
     rows = np.column_stack([responses, values])
-    of = {name: list(own) for name, own in groups.items()} | {REST: [values.shape[1]]}
-    return {name: jackknifed(part(own), rows, group, grouped=True) for name, own in of.items()}
+    of = {name: list(cols) for name, cols in groups.items()} | {REST: [values.shape[1]]}
+    return {name: jackknifed(part(cols), rows, group, grouped=True) for name, cols in of.items()}
 
 
 def _parts(rows: np.ndarray, group: np.ndarray) -> np.ndarray:
     responses, values = rows[:, 0] - rows[:, 0].mean(), rows[:, 1:] - rows[:, 1:].mean(axis=0)
     slopes = np.linalg.lstsq(values, responses, rcond=None)[0]
     matrix = covariance(rows, group) if len(rows) > 1 else np.zeros((rows.shape[1],) * 2)
-    own = slopes * (matrix[1:, 1:] @ slopes)
-    return np.append(own, matrix[0, 0] - own.sum())
+    shares = slopes * (matrix[1:, 1:] @ slopes)
+    return np.append(shares, matrix[0, 0] - shares.sum())

@@ -40,7 +40,7 @@ from jaxclear.studies.statistics.sobol_indices import (
 from jaxclear.studies.store.batch import evaluate_all
 from jaxclear.studies.store.store import stored
 from jaxclear.studies.surface.response_surface import ResponseSurface
-from jaxclear.studies.warned import told
+from jaxclear.studies.warned import sentences_among
 
 SCRAMBLINGS = 16
 # All sets of so many variables are gone through; of more, orders drawn by chance, so many in all.
@@ -118,37 +118,37 @@ def shapley_effects(
     group, together = np.sort(groups(samples, SCRAMBLINGS)), tuple(problem.groups.values())
     count = len(together)
     steps = _all_steps(count) if count <= MOST_VARIABLES else _some_steps(count, seed)
-    every = {known | {variable} for variable, known, _ in steps}
-    sets = sorted(every, key=lambda known: (len(known), sorted(known)))
-    columns = [sorted(i for one in known for i in together[one]) for known in sets]
+    every = {subset | {variable} for variable, subset, _ in steps}
+    sets = sorted(every, key=lambda subset: (len(subset), sorted(subset)))
+    columns = [sorted(i for one in subset for i in together[one]) for subset in sets]
     values = _samples(problem.inputs, columns, group, seed)
     if surface is None:
-        found = evaluate_all(problem, values, progress_bar=progress_bar, label="Shapley effects")
-        reached = np.asarray(found.outcome) == Outcome.REACHED
-        responses = found.responses
+        result = evaluate_all(problem, values, progress_bar=progress_bar, label="Shapley effects")
+        reached = np.asarray(result.outcome) == Outcome.REACHED
+        responses = result.responses
         refuse_endless(problem, responses, "variance")
-        warnings = told(problem, found.checks, reached)
+        warnings = sentences_among(problem, result.checks, reached)
     else:
-        known = np.asarray(surface.values)
-        inside = jnp.clip(values, known.min(axis=0), known.max(axis=0))
+        points = np.asarray(surface.values)
+        inside = jnp.clip(values, points.min(axis=0), points.max(axis=0))
         refuse_part_of_spread(surface, np.mean(np.asarray(inside != values), axis=0))
-        responses, held = (_on_surface(surface.bare(), at) for at in (values, inside))
+        responses, clipped = (_on_surface(surface.bare(), at) for at in (values, inside))
         reached, warnings = np.ones(len(values), bool), surface.warnings
     good = np.all(reached.reshape(len(sets), -1), axis=0)
     effects: dict[Any, Any] = {}
     for name in problem.response_names:
-        own = _effects(responses[name], good, sets, steps, group, count)
+        variable_effects = _effects(responses[name], good, sets, steps, group, count)
         if surface is not None:
-            beyond = _effects(held[name], good, sets, steps, group, count)
+            beyond = _effects(clipped[name], good, sets, steps, group, count)
             open_, explained = open_share(surface, name, float(np.var(responses[name])))
-            own = [
+            variable_effects = [
                 _with_open(one, abs(one.value - other.value), open_, explained)
-                for one, other in zip(own, beyond, strict=True)
+                for one, other in zip(variable_effects, beyond, strict=True)
             ]
-        each = zip(problem.variable_names, own, strict=True)
+        each = zip(problem.variable_names, variable_effects, strict=True)
         effects |= {(name, variable): one for variable, one in each}
-    seen = np.asarray(values)[np.tile(good, len(sets))] if surface is None else surface.values
-    little = open_shares(problem, seen, effects)
+    drawn = np.asarray(values)[np.tile(good, len(sets))] if surface is None else surface.values
+    little = open_shares(problem, drawn, effects)
     remark, failed = _remark(surface), int((~good).sum())
     return ShapleyEffects(problem, effects, len(values), failed, remark, (*warnings, *little))
 
@@ -156,10 +156,10 @@ def shapley_effects(
 def _all_steps(count: int) -> list[Step]:
     """Steps through all sets, each as often as it occurs among all orders."""
     return [
-        (variable, frozenset(known), 1 / (count * math.comb(count - 1, size)))
+        (variable, frozenset(subset), 1 / (count * math.comb(count - 1, size)))
         for size in range(count)
-        for known in itertools.combinations(range(count), size)
-        for variable in sorted(set(range(count)) - set(known))
+        for subset in itertools.combinations(range(count), size)
+        for variable in sorted(set(range(count)) - set(subset))
     ]
 
 
@@ -183,16 +183,16 @@ def _samples(inputs: Inputs, sets: list[list[int]], group: np.ndarray, seed: int
     matrix = np.eye(count) if inputs.independent else np.asarray(inputs.correlation)
     scores = normal[:, :count] @ np.linalg.cholesky(matrix).T
     rows = []
-    for known in sets:
-        one, rest = known, [i for i in range(count) if i not in known]
+    for subset in sets:
+        one, rest = subset, [i for i in range(count) if i not in subset]
         drawn = scores.copy()
         if rest:
             follow = matrix[np.ix_(rest, one)] @ np.linalg.inv(matrix[np.ix_(one, one)])
-            left = matrix[np.ix_(rest, rest)] - follow @ matrix[np.ix_(one, rest)]
-            anew = normal[:, count + np.array(rest)] @ np.linalg.cholesky(left).T
+            conditional = matrix[np.ix_(rest, rest)] - follow @ matrix[np.ix_(one, rest)]
+            anew = normal[:, count + np.array(rest)] @ np.linalg.cholesky(conditional).T
             drawn[:, rest] = scores[:, one] @ follow.T + anew
         rows.append(drawn)
-    return inputs.of_scores(jnp.asarray(np.concatenate(rows)))
+    return inputs.of_scores(np.concatenate(rows))
 
 
 def _with_open(effect: Statistic, beyond: float, open_: float, explained: float) -> Statistic:
@@ -209,26 +209,26 @@ def _effects(responses, good, sets, steps, group, count) -> list[Statistic]:
     rows, group = np.asarray(responses).reshape(len(sets), -1)[:, good], group[good]
     away = rows - rows[-1].mean()
     parts: dict[frozenset[int], np.ndarray] = {frozenset(): np.zeros(SCRAMBLINGS)}
-    for known, own in zip(sets, away, strict=True):
-        sums = np.bincount(group, own * away[-1], SCRAMBLINGS)
-        parts[known] = sums / np.maximum(np.bincount(group, minlength=SCRAMBLINGS), 1)
+    for subset, gain in zip(sets, away, strict=True):
+        sums = np.bincount(group, gain * away[-1], SCRAMBLINGS)
+        parts[subset] = sums / np.maximum(np.bincount(group, minlength=SCRAMBLINGS), 1)
     variance = float(parts[sets[-1]].mean())
     if variance <= 0:
         return [Statistic(0.0, 0.0, 0.0)] * count
-    found = []
+    effects = []
     for i in range(count):
         gains = np.array([w * (parts[k | {v}] - parts[k]) for v, k, w in steps if v == i])
-        own = gains.sum(axis=0)
-        value = float(own.mean() / variance)
+        gain = gains.sum(axis=0)
+        value = float(gain.mean() / variance)
         # A ratio of means, by its linear part.
-        spread = (own - value * parts[sets[-1]]).var(ddof=1) / SCRAMBLINGS
+        spread = (gain - value * parts[sets[-1]]).var(ddof=1) / SCRAMBLINGS
         if count > MOST_VARIABLES:
             # Orders come in pairs, which chance has drawn.
             pairs = gains.mean(axis=1).reshape(-1, 2).sum(axis=1)
             spread += len(pairs) * pairs.var(ddof=1)
         half = float(student(SCRAMBLINGS) * np.sqrt(spread) / variance)
-        found.append(Statistic(value, value - half, value + half))
-    return found
+        effects.append(Statistic(value, value - half, value + half))
+    return effects
 
 
 @eqx.filter_jit

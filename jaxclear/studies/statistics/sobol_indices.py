@@ -45,7 +45,7 @@ from jaxclear.studies.store.store import stored
 from jaxclear.studies.surface.fitting import HIGHEST
 from jaxclear.studies.surface.polynomials import Expansion, levels, orthonormal, powers, products
 from jaxclear.studies.surface.response_surface import ResponseSurface
-from jaxclear.studies.warned import told
+from jaxclear.studies.warned import sentences_among
 
 # Parts beyond the outermost of n independent runs are more than this over n once in 2000 samples.
 MOST_OUTSIDE = 10.0
@@ -127,30 +127,30 @@ def sobol_indices(
     normal = scores_by_scrambling(np.bincount(group, minlength=parts), 2 * count, seed)
     base, other = normal[:, :count], normal[:, count:]
     columns = [base, other]
-    for own in problem.groups.values():
+    for members in problem.groups.values():
         mixed = base.copy()
-        mixed[:, list(own)] = other[:, list(own)]
+        mixed[:, list(members)] = other[:, list(members)]
         columns.append(mixed)
-    values = problem.inputs.values(jnp.asarray(np.concatenate(columns)))
-    found = evaluate_all(problem, values, progress_bar=progress_bar, label="Sobol' indices")
-    reached = (np.asarray(found.outcome) == Outcome.REACHED).reshape(len(columns), -1)
-    refuse_endless(problem, found.responses, "variance")
+    values = problem.inputs.values(np.concatenate(columns))
+    result = evaluate_all(problem, values, progress_bar=progress_bar, label="Sobol' indices")
+    reached = (np.asarray(result.outcome) == Outcome.REACHED).reshape(len(columns), -1)
+    refuse_endless(problem, result.responses, "variance")
     good = np.all(reached, axis=0)
-    rows = np.stack([found.responses[name] for name in problem.response_names], axis=-1)
+    rows = np.stack([result.responses[name] for name in problem.response_names], axis=-1)
     rows = rows.reshape(len(columns), len(group), -1)[:, good]
     at = np.asarray(values).reshape(len(columns), len(group), -1)[:, good]
     first, total = {}, {}
     every: Any = [None] * len(problem.response_names)
     if good.any():
         every = _parts(problem, at, rows, group[good])
-    for name, own in zip(problem.response_names, every, strict=True):
+    for name, numerators in zip(problem.response_names, every, strict=True):
         for i, variable in enumerate(problem.variable_names):
-            first[name, variable] = _share(own, i)
-            total[name, variable] = _share(own, len(columns) - 2 + i)
-    warnings = told(problem, found.checks, reached.ravel())
-    told_of = open_shares(problem, np.asarray(values)[np.tile(good, len(columns))], first, total)
+            first[name, variable] = _share(numerators, i)
+            total[name, variable] = _share(numerators, len(columns) - 2 + i)
+    warnings = sentences_among(problem, result.checks, reached.ravel())
+    remarks = open_shares(problem, np.asarray(values)[np.tile(good, len(columns))], first, total)
     return SobolIndices(
-        problem, first, total, len(values), int(np.sum(~good)), (*warnings, *told_of)
+        problem, first, total, len(values), int(np.sum(~good)), (*warnings, *remarks)
     )
 
 
@@ -159,41 +159,41 @@ def open_shares(
 ) -> tuple[str, ...]:
     """Sentences for variables with a level that no run (runs, variables) has seen, whose shares of
     a variance are then open: 0 to 1."""
-    found = undrawn_levels(problem, values)
-    for own in shares:
-        for response, variable in own:
-            if variable in found:
-                known = own[response, variable]
-                own[response, variable] = Statistic(known.value, 0.0, 1.0)
-    return tuple(found.values())
+    undrawn = undrawn_levels(problem, values)
+    for table in shares:
+        for response, variable in table:
+            if variable in undrawn:
+                share = table[response, variable]
+                table[response, variable] = Statistic(share.value, 0.0, 1.0)
+    return tuple(undrawn.values())
 
 
 def leading(shares: Mapping[tuple[str, str], Statistic], what: str) -> str:
     """Which variable has the largest share of the variance of each response, in words, and which
     may have as large ones within their intervals."""
-    said = []
+    sentences = []
     for response in dict.fromkeys(name for name, _ in shares):
-        own = {variable: share for (name, variable), share in shares.items() if name == response}
-        known = [(share.value, variable) for variable, share in own.items() if share.value > 0]
-        if not known:
-            said.append(f'"{response}" has no variance that is shared out.')
+        table = {variable: share for (name, variable), share in shares.items() if name == response}
+        ranking = [(share.value, variable) for variable, share in table.items() if share.value > 0]
+        if not ranking:
+            sentences.append(f'"{response}" has no variance that is shared out.')
             continue
-        first = own[max(known)[1]]
-        level = [variable for _, variable in sorted(known, reverse=True)]
-        level = [name for name in level if own[name] is first or own[name].high >= first.low]
-        shown = " and ".join(f'"{name}" ({own[name]})' for name in level)
+        first = table[max(ranking)[1]]
+        level = [variable for _, variable in sorted(ranking, reverse=True)]
+        level = [name for name in level if table[name] is first or table[name].high >= first.low]
+        text = " and ".join(f'"{name}" ({table[name]})' for name in level)
         verb = "leads" if len(level) == 1 else "lead"
-        said.append(f'{shown} {verb} the variance of "{response}" by {what}.')
-    return " ".join(said)
+        sentences.append(f'{text} {verb} the variance of "{response}" by {what}.')
+    return " ".join(sentences)
 
 
 def refuse_part_of_spread(surface: ResponseSurface, outside: np.ndarray) -> None:
     """Raises `ValueError` for a surface beyond whose runs more of the parts lie, `outside`
     (variables,) [1], than chance leaves there."""
-    for name, own in zip(surface.problem.names, outside, strict=True):
-        if own > MOST_OUTSIDE / len(surface.values):
+    for name, share in zip(surface.problem.names, outside, strict=True):
+        if share > MOST_OUTSIDE / len(surface.values):
             raise ValueError(
-                f'the surface was fitted where {100 * own:.2g} % of "{name}" are not; its '
+                f'the surface was fitted where {100 * share:.2g} % of "{name}" are not; its '
                 "indices would be those of another spread: fit it with over=1, or give the problem."
             )
 
@@ -201,48 +201,48 @@ def refuse_part_of_spread(surface: ResponseSurface, outside: np.ndarray) -> None
 def open_share(surface: ResponseSurface, name: str, variance: float) -> tuple[float, float]:
     """Which share [1] of the variance of a response a surface leaves open, which may belong to any
     variable, and which its own `variance` is; 0 and 0 of a response that does not vary."""
-    left, own = surface.error(name) ** 2, surface.responses[name]
-    if np.ptp(own) <= ROUNDING * np.abs(own).max():
+    error, values = surface.error(name) ** 2, surface.responses[name]
+    if np.ptp(values) <= ROUNDING * np.abs(values).max():
         return 0.0, 0.0
-    whole = variance + left
-    return left / whole, variance / whole
+    total = variance + error
+    return error / total, variance / total
 
 
 def _of_surface(surface: ResponseSurface) -> SobolIndices:
     """Indices of polynomials: what they do not explain may belong to any variable."""
     problem = surface.problem
-    asked = surface.polynomials, np.asarray(surface.powers), problem.inputs, surface.values
+    args = surface.polynomials, np.asarray(surface.powers), problem.inputs, surface.values
     groups = tuple(problem.groups.values())
-    spread, held = Expansion.of(*asked, groups), Expansion.of(*asked, groups, held=True)
+    spread, clipped = Expansion.of(*args, groups), Expansion.of(*args, groups, is_clipped=True)
     refuse_part_of_spread(surface, spread.outside)
     indices: tuple[dict, dict] = ({}, {})
     for name in problem.response_names:
         coefficients = np.asarray(surface.coefficients[name])
-        found = []
-        for expansion in (spread, held):
+        totals = []
+        for expansion in (spread, clipped):
             _, variance, *shares = expansion.variances(coefficients)
             open_, explained = open_share(surface, name, variance)
-            found.append(np.array(shares) * (explained / variance if variance > 0 else 0.0))
-        half = open_ + np.abs(found[0] - found[1])
-        for kind, shares, halves in zip(indices, found[0], half, strict=True):
-            for variable, share, own_half in zip(
+            totals.append(np.array(shares) * (explained / variance if variance > 0 else 0.0))
+        half = open_ + np.abs(totals[0] - totals[1])
+        for kind, shares, halves in zip(indices, totals[0], half, strict=True):
+            for variable, share, half_width in zip(
                 problem.variable_names, shares, halves, strict=True
             ):
-                low, high = float(share - own_half), float(share + own_half)
+                low, high = float(share - half_width), float(share + half_width)
                 kind[name, variable] = Statistic(float(share), low, high)
-    told_of = open_shares(problem, surface.values, *indices)
-    return SobolIndices(problem, *indices, 0, 0, (*surface.warnings, *told_of))
+    remarks = open_shares(problem, surface.values, *indices)
+    return SobolIndices(problem, *indices, 0, 0, (*surface.warnings, *remarks))
 
 
 class _Parts(NamedTuple):
     """What each scrambling says: numerators of all indices, second moment and mean about one place
     as columns (scramblings, 2 variables + 2): by runs alone (`plain`), with polynomials that go on
-    beyond the outermost runs (`spread`), and with such as stay there as they are (`held`); and how
-    many samples it has (scramblings,)."""
+    beyond the outermost runs (`spread`), and with such as stay there as they are (`clipped`); and
+    how many samples it has (scramblings,)."""
 
     plain: np.ndarray
     spread: np.ndarray
-    held: np.ndarray
+    clipped: np.ndarray
     samples: np.ndarray
 
 
@@ -257,31 +257,31 @@ def _share(parts: _Parts | None, place: int) -> Statistic:
         return float(numerator / variance) if variance > 0 else 0.0
 
     each = np.arange(len(parts.samples))
-    plain, spread, held = (
-        jackknifed(of, np.column_stack([own[:, [place, -2, -1]], parts.samples]), each, skewed=True)
-        for own in parts[:3]
+    plain, spread, clipped = (
+        jackknifed(of, np.column_stack([row[:, [place, -2, -1]], parts.samples]), each, skewed=True)
+        for row in parts[:3]
     )
-    beyond = abs(spread.value - held.value)
-    told, beyond = (spread, beyond) if beyond <= plain.error else (held, plain.error)
-    low, high = np.hypot(told.value - told.low, beyond), np.hypot(told.high - told.value, beyond)
+    beyond = abs(spread.value - clipped.value)
+    best, beyond = (spread, beyond) if beyond <= plain.error else (clipped, plain.error)
+    low, high = np.hypot(best.value - best.low, beyond), np.hypot(best.high - best.value, beyond)
     if max(low, high) > plain.error:
         return plain
-    return Statistic(told.value, told.value - float(low), told.value + float(high))
+    return Statistic(best.value, best.value - float(low), best.value + float(high))
 
 
 def _parts(problem: Problem, at: np.ndarray, rows: np.ndarray, group: np.ndarray) -> list[_Parts]:
     """For each response what the scramblings say, from values (columns, samples, variables) and
     responses (columns, samples, responses)."""
-    scramblings = [group == own for own in np.unique(group)]
-    samples = np.array([own.sum() for own in scramblings])
+    scramblings = [group == label for label in np.unique(group)]
+    samples = np.array([mask.sum() for mask in scramblings])
     away = rows - rows[:2].mean(axis=(0, 1))
-    alike = np.ptp(rows, axis=(0, 1)) <= ROUNDING * np.abs(rows).max(axis=(0, 1))
-    away = np.where(alike, 0.0, away)
-    plain = np.array([_numbers(away[:, own]) for own in scramblings])
+    is_constant = np.ptp(rows, axis=(0, 1)) <= ROUNDING * np.abs(rows).max(axis=(0, 1))
+    away = np.where(is_constant, 0.0, away)
+    plain = np.array([_numbers(away[:, mask]) for mask in scramblings])
     fitted = _Polynomial.through(problem, at, away, scramblings)
-    spread, held = (0.0, 0.0) if fitted is None else fitted.corrections(scramblings)
-    kinds = plain, plain + spread, plain + held
-    each = [[own[:, :, i] for own in kinds] for i in range(rows.shape[2])]
+    spread, clipped = (0.0, 0.0) if fitted is None else fitted.corrections(scramblings)
+    kinds = plain, plain + spread, plain + clipped
+    each = [[kind[:, :, i] for kind in kinds] for i in range(rows.shape[2])]
     return [_Parts(one, other, third, samples) for one, other, third in each]
 
 
@@ -310,7 +310,7 @@ class _Polynomial(NamedTuple):
     ) -> "_Polynomial | None":
         """Of the degree that predicts the left out scramblings best, for each response; None where
         runs are too few for a line."""
-        runs = rows.shape[0] * (rows.shape[1] - max(int(own.sum()) for own in scramblings))
+        runs = rows.shape[0] * (rows.shape[1] - max(int(mask.sum()) for mask in scramblings))
         most = min(runs // SAMPLES_A_TERM, MOST_TERMS)
         if len(scramblings) < 2 or most < at.shape[2] + 1:
             return None
@@ -319,39 +319,41 @@ class _Polynomial(NamedTuple):
         while degree < HIGHEST and len(powers(highest, degree + 1)) <= most:
             degree += 1
         table = powers(highest, degree)
-        own = lambda values: products(polynomials, jnp.asarray(table), values)
-        terms = np.asarray(jax.jit(jax.vmap(jax.vmap(own)))(jnp.asarray(at)))
-        matrices = np.array([_equations(terms[:, own], terms[:, own]) for own in scramblings])
-        aims = np.array([_equations(terms[:, own], rows[:, own]) for own in scramblings])
+        evaluate = lambda values: products(polynomials, jnp.asarray(table), values)
+        terms = np.asarray(jax.jit(jax.vmap(jax.vmap(evaluate)))(jnp.asarray(at)))
+        matrices = np.array([_equations(terms[:, mask], terms[:, mask]) for mask in scramblings])
+        aims = np.array([_equations(terms[:, mask], rows[:, mask]) for mask in scramblings])
         matrices, aims = matrices.sum(axis=0) - matrices, aims.sum(axis=0) - aims
         best = np.full(rows.shape[2], np.inf)
         coefficients = np.zeros((len(scramblings), len(table), rows.shape[2]))
-        for kept in (table.sum(axis=1) <= d for d in range(1, degree + 1)):
-            found = np.zeros_like(coefficients)
+        for chosen in (table.sum(axis=1) <= d for d in range(1, degree + 1)):
+            fitted = np.zeros_like(coefficients)
             for i in range(len(scramblings)):
-                matrix = matrices[i][np.ix_(kept, kept)]
-                found[i, kept] = np.linalg.lstsq(matrix, aims[i][kept], rcond=None)[0]
+                matrix = matrices[i][np.ix_(chosen, chosen)]
+                fitted[i, chosen] = np.linalg.lstsq(matrix, aims[i][chosen], rcond=None)[0]
             missed = sum(
-                np.sum((rows[:, own] - terms[:, own] @ each) ** 2, axis=(0, 1))
-                for own, each in zip(scramblings, found, strict=True)
+                np.sum((rows[:, mask] - terms[:, mask] @ each) ** 2, axis=(0, 1))
+                for mask, each in zip(scramblings, fitted, strict=True)
             )
-            coefficients = np.where(missed < best, found, coefficients)
+            coefficients = np.where(missed < best, fitted, coefficients)
             best = np.minimum(missed, best)
-        known = at[:2].reshape(-1, at.shape[2])
-        asked = polynomials, table, problem.inputs, known, tuple(problem.groups.values())
-        spread, held = Expansion.of(*asked), Expansion.of(*asked, held=True)
-        return cls(terms, coefficients, (spread, held))
+        points = at[:2].reshape(-1, at.shape[2])
+        arguments = polynomials, table, problem.inputs, points, tuple(problem.groups.values())
+        spread, clipped = Expansion.of(*arguments), Expansion.of(*arguments, is_clipped=True)
+        return cls(terms, coefficients, (spread, clipped))
 
     def corrections(self, scramblings: list[np.ndarray]) -> list[np.ndarray]:
         """What to add to the numbers of each scrambling (scramblings, 2 variables + 2, responses),
         by either expansion: those of the polynomials exactly less those at the samples."""
         pairs = list(zip(scramblings, self.coefficients, strict=True))
-        sampled = np.array([_numbers(self.terms[:, own] @ each) for own, each in pairs])
-        found = []
+        sampled = np.array([_numbers(self.terms[:, mask] @ each) for mask, each in pairs])
+        corrections = []
         for expansion in self.expansions:
-            exact = [[_exactly(expansion, own) for own in each.T] for each in self.coefficients]
-            found.append(np.swapaxes(np.array(exact), 1, 2) - sampled)
-        return found
+            exact = [
+                [_exactly(expansion, column) for column in each.T] for each in self.coefficients
+            ]
+            corrections.append(np.swapaxes(np.array(exact), 1, 2) - sampled)
+        return corrections
 
 
 def _exactly(expansion: Expansion, coefficients: np.ndarray) -> np.ndarray:

@@ -34,7 +34,7 @@ def summary_row(study: Any, name: str, limits: Mapping[str, Limits]) -> dict[str
     clean, clean_group = study.responses[name][clean], study.scrambling[clean]
     # Of infinite answers, as lives may be, there is no mean, nor a deviation.
     bounded = bool(np.all(np.isfinite(values)))
-    known = {"mean": study.mean(name) if bounded else UNKNOWN}
+    statistics = {"mean": study.mean(name) if bounded else UNKNOWN}
     error = standard_error(np.mean, values, group)[0] if bounded and len(values) else np.nan
     row = {
         "response": name,
@@ -42,17 +42,17 @@ def summary_row(study: Any, name: str, limits: Mapping[str, Limits]) -> dict[str
         "samples": len(values),
         "failed": len(study.failed),
         "warned": len(warned),
-        "mean": known["mean"].value,
+        "mean": statistics["mean"].value,
         "standard error": error,
     }
-    known["standard deviation"] = study.standard_deviation(name) if bounded else UNKNOWN
-    known |= {label: study.quantile(name, share) for label, share in PERCENTILES.items()}
+    statistics["standard deviation"] = study.standard_deviation(name) if bounded else UNKNOWN
+    statistics |= {label: study.quantile(name, share) for label, share in PERCENTILES.items()}
     if name in limits:
-        known["yield"] = study.share_within({name: limits[name]})
-        known["Cpk"] = study.process_capability(name, limits[name]) if bounded else UNKNOWN
-    for label, told in known.items():
-        row[label] = told.value
-        row[f"{label} error"] = told.error
+        statistics["yield"] = study.share_within({name: limits[name]})
+        statistics["Cpk"] = study.process_capability(name, limits[name]) if bounded else UNKNOWN
+    for label, statistic in statistics.items():
+        row[label] = statistic.value
+        row[f"{label} error"] = statistic.error
     if study.replicas is not None:
         row |= _by_steps(study, name)
     row["mean without warned"] = clean.mean() if bounded and len(clean) else np.nan
@@ -66,8 +66,8 @@ def _by_steps(study: Any, name: str) -> dict[str, float]:
     """What replicas tell of a mean: by how much it is too large, with half of the 95 % interval of
     that; and the largest that it may be."""
     bias, uncertainty = study.replicas.bias(name)
-    told = {"numerical error": abs(bias) + uncertainty, "bias": bias, "bias error": uncertainty}
-    return told | {"replicas": len(study.replicas.pairs(name)[0])}
+    columns = {"numerical error": abs(bias) + uncertainty, "bias": bias, "bias error": uncertainty}
+    return columns | {"replicas": len(study.replicas.pairs(name)[0])}
 
 
 def failure(study: Any, i: int) -> str:
@@ -144,22 +144,24 @@ def remarks_of(study: Any, summary: Any) -> tuple[str, ...]:
     open_: dict[tuple[str, ...], list[str]] = {}
     for label in PERCENTILES:
         pairs = zip(names, summary[label], summary[f"{label} error"], strict=True)
-        own = tuple(n for n, value, error in pairs if np.isfinite(value) and np.isinf(error))
-        open_.setdefault(own, []).append(label)
-    said = []
-    for own, labels in open_.items():
+        infinite = tuple(n for n, value, error in pairs if np.isfinite(value) and np.isinf(error))
+        open_.setdefault(infinite, []).append(label)
+    sentences = []
+    for infinite, labels in open_.items():
         enough = max(samples_that_bound(PERCENTILES[label], groups) for label in labels)
         more = f": about {enough:.0f} do" if study.count < enough < np.inf else ""
         which = f"the {' and '.join(labels)} quantile{'s' if len(labels) > 1 else ''}"
-        said += [f"{study.count} samples do not bound {which} of {listed(own)}{more}."] * bool(own)
+        sentences += [
+            f"{study.count} samples do not bound {which} of {listed(infinite)}{more}."
+        ] * bool(infinite)
     heavy = [(name, _coverage_if_heavy(study.good(name)[0])) for name in names]
-    said += [
+    sentences += [
         f'Few samples decide the standard deviation of "{name}", whose tails are heavy: its 95 % '
-        f"interval holds it in about {100 * max(known, 0.0):.0f} % of cases."
-        for name, known in heavy
-        if known < PROMISED
+        f"interval holds it in about {100 * max(coverage, 0.0):.0f} % of cases."
+        for name, coverage in heavy
+        if coverage < PROMISED
     ]
-    return tuple(said)
+    return tuple(sentences)
 
 
 def _coverage_if_heavy(values: np.ndarray) -> float:
@@ -177,17 +179,17 @@ def _coverage_if_heavy(values: np.ndarray) -> float:
 def spread_of(summary: Any) -> tuple[Any, ...]:
     """Of a summary what `print` shows: means with all that they may be off, deviations, how the
     responses spread; and a sentence for each bias that replicas do not resolve."""
-    kept = ["mean", "mean error", "standard deviation", "standard deviation error", "5 %", "95 %"]
+    labels = ["mean", "mean error", "standard deviation", "standard deviation error", "5 %", "95 %"]
     if "bias" not in summary:
-        return (summary[["response", "unit", *kept]],)
-    shown = summary[["response", "unit", *kept[:2], "numerical error", *kept[2:]]].copy()
+        return (summary[["response", "unit", *labels]],)
+    table = summary[["response", "unit", *labels[:2], "numerical error", *labels[2:]]].copy()
     names = ("bias", "bias error", "mean error", "replicas")
-    found = [NumericalError(*own) for own in zip(*(summary[n] for n in names), strict=True)]
-    shown["mean error"] = [own.whole if own.is_resolved else own.sampling for own in found]
+    errors = [NumericalError(*row) for row in zip(*(summary[n] for n in names), strict=True)]
+    table["mean error"] = [e.whole if e.is_resolved else e.sampling for e in errors]
     # Of the mean all that it may be off by; the summary tells by how much samples are short.
     every = {"mean": "mean, all errors", "mean error": "mean, all errors error"}
-    told = zip(summary["response"], found, strict=True)
-    unresolved = [(n, own) for n, own in told if own.replicas and not own.is_resolved]
-    units = dict(shown.attrs.get("units", {}))
-    renamed = as_table(shown.rename(columns=every), units=units)
-    return renamed, *(f'"{n}": {own.unresolved}' for n, own in unresolved)
+    pairs = zip(summary["response"], errors, strict=True)
+    unresolved = [(n, e) for n, e in pairs if e.replicas and not e.is_resolved]
+    units = dict(table.attrs.get("units", {}))
+    renamed = as_table(table.rename(columns=every), units=units)
+    return renamed, *(f'"{n}": {e.unresolved}' for n, e in unresolved)

@@ -24,13 +24,14 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array, Float
 from tqdm import tqdm
 
+from jaxclear.ground.description import describe
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.integrators.checks import Check, Checks
 from jaxclear.native import calls_lapack, stop, stoppable, stops
 from jaxclear.native.compiled import Prepared, prepared
 from jaxclear.studies.experiment import SampleResult
 from jaxclear.studies.problem import Problem
-from jaxclear.studies.store.digest import describe, in_texts
+from jaxclear.studies.store.digest import in_texts
 from jaxclear.studies.store.store import CURRENT, Chunk, Store, compute_address
 
 # Memory for one chunk [bytes] on machines with a few GiB a core.
@@ -38,6 +39,8 @@ CHUNK_MEMORY = 1 << 30
 # Runs come in chunks of no fewer samples than these, where there are as many, so that there are so
 # many chunks for each thread: the threads end together, and what is finished is seen.
 LEAST_CHUNK, CHUNKS_A_THREAD = 64, 8
+# Samples come in multiples of these, copies of the last one where there are fewer.
+LANES = 8
 # [s] between looks at whether others have finished the chunks that they are at.
 PATIENCE = 0.2
 # What is kept of each sample; the figures of its checks, and when they were met.
@@ -56,10 +59,10 @@ def evaluate_chunk(problem: Problem, values: Float[Array, "samples variables"]) 
 
 
 @eqx.filter_jit
-def asked_of_lapack(function, problem, values):
+def uses_lapack(function, problem, values):
     """What the function of a chunk gives, and whether its program calls LAPACK."""
-    found = function(problem, values)
-    return found, calls_lapack(*jax.tree.leaves(found))
+    result = function(problem, values)
+    return result, calls_lapack(*jax.tree.leaves(result))
 
 
 def cores() -> int:
@@ -89,10 +92,11 @@ def chunk_size(problem: Problem, samples: int, chunk: int | None = None) -> int:
     """
     if chunk is not None:
         return min(chunk, samples)
-    whole = min(usual_batch(problem), -(-samples // threads_of()))
+    size = min(usual_batch(problem), -(-samples // threads_of()))
     if jax.default_backend() == "cpu" and not problem.cost().cheap:
-        whole = min(whole, max(LEAST_CHUNK, -(-samples // (CHUNKS_A_THREAD * threads_of()))))
-    return max(1, whole)
+        size = min(size, max(LEAST_CHUNK, -(-samples // (CHUNKS_A_THREAD * threads_of()))))
+    # Fewer than fill a vector of the processor take as long, and a program of their own.
+    return max(1, size, min(-(-size // LANES) * LANES, usual_batch(problem)))
 
 
 @eqx.filter_jit
@@ -108,8 +112,8 @@ def sample_of_chunk(
     copies of itself.
     """
     with stoppable():
-        found = _mapped(function, jnp.tile(values, (chunk, 1)))
-        return jax.tree.map(lambda leaf: leaf[index % chunk], jax.block_until_ready(found))
+        result = _mapped(function, jnp.tile(values, (chunk, 1)))
+        return jax.tree.map(lambda leaf: leaf[index % chunk], jax.block_until_ready(result))
 
 
 def _of_chunk(function: Callable, problem: Problem, values: Array) -> Any:
@@ -129,43 +133,43 @@ class Program:
         # By size of chunks: what computes them, and whether it calls LAPACK.
         self._prepared: dict[int, Prepared] = {}
 
-    def run(self, values: np.ndarray, before: int, once: bool = False) -> Any:
-        """What a chunk gives, on the host; `once`: no other follows. Raises `Stopped` where runs
-        were stopped more often than `before`."""
-        program = self._program(values, once)
+    def run(self, values: np.ndarray, before: int, single_use: bool = False) -> Any:
+        """What a chunk gives, on the host; `single_use`: no other follows. Raises `Stopped` where
+        runs were stopped more often than `before`."""
+        program = self._program(values, single_use)
         # Programs that call LAPACK go one by one (a user's response may; see `calls_lapack`).
         with self._alone if program.lapack else nullcontext():
-            found = jax.tree.map(np.asarray, program.call(values))
+            result = jax.tree.map(np.asarray, program.call(values))
         if stops() != before:
             raise Stopped
-        return found
+        return result
 
     def compiled(self, values: np.ndarray) -> bool:
         """Compiles the program for chunks like this; whether it calls LAPACK."""
         return self._program(values).lapack
 
-    def _program(self, values: np.ndarray, once: bool = False) -> Prepared:
+    def _program(self, values: np.ndarray, single_use: bool = False) -> Prepared:
         with self._compiling:
-            found = self._prepared.get(len(values))
-            if found is None:
-                found = self._prepared[len(values)] = self._found(values, once)
-            return found
+            program = self._prepared.get(len(values))
+            if program is None:
+                program = self._prepared[len(values)] = self._prepare(values, single_use)
+            return program
 
-    def _found(self, values: np.ndarray, once: bool) -> Prepared:
+    def _prepare(self, values: np.ndarray, single_use: bool) -> Prepared:
         # Compiled as a part of the program that is prepared.
         plain = getattr(self._function, "__wrapped__", self._function)
-        found = prepared(_of_chunk, plain, self.problem, values)
-        if found is not None:
-            return found
+        program = prepared(_of_chunk, plain, self.problem, values)
+        if program is not None:
+            return program
 
         def evaluated(problem, values):
-            asked: Callable = asked_of_lapack
-            return asked(self._function, problem, self._laid_out(values))
+            function: Callable = uses_lapack
+            return function(self._function, problem, self._laid_out(values))
 
         # Compiled by a run of no length.
         idle = self.problem.cost().idle
         little = self.problem if idle is None else self.problem.with_experiment(idle)
-        lapack = not once and bool(evaluated(little, values)[1])
+        lapack = not single_use and bool(evaluated(little, values)[1])
         return Prepared(lambda values: evaluated(self.problem, values)[0], lapack)
 
 
@@ -182,12 +186,12 @@ def _on_each(problem: Problem, values: Float[Array, "samples variables"]) -> Sam
     """A chunk of samples, an equal part of it on each device."""
     numbers, rest = eqx.partition(problem, eqx.is_array)
 
-    def own(numbers, values):
+    def apply(numbers, values):
         return evaluate_chunk(eqx.combine(numbers, rest), values)
 
     # A device's part is a program of its own: its numbers are those of a batch of this size.
     parts = PartitionSpec(), PartitionSpec("samples")
-    mapped = jax.shard_map(own, mesh=_mesh(), in_specs=parts, out_specs=parts[1], check_vma=False)
+    mapped = jax.shard_map(apply, mesh=_mesh(), in_specs=parts, out_specs=parts[1], check_vma=False)
     return mapped(numbers, values)
 
 
@@ -201,8 +205,8 @@ def side_by_side(
     threads = threads_of() if devices() == 1 else 1
     with stoppable(), ThreadPoolExecutor(threads) as pool:
         try:
-            for number, found in zip(numbers, pool.map(one, numbers), strict=True):
-                heard(number, found)
+            for number, result in zip(numbers, pool.map(one, numbers), strict=True):
+                heard(number, result)
         except BaseException as reason:
             if isinstance(reason, (KeyboardInterrupt, Stopped)):
                 stop()
@@ -229,8 +233,8 @@ def until_all(
     run: Callable[..., None] = side_by_side,
 ) -> None:
     """As `side_by_side`; what `one` gives None for, as another process is at it, once more."""
-    left = list(numbers)
-    while left:
+    remaining = list(numbers)
+    while remaining:
         busy: list[int] = []
 
         def note(number: int, result: Any, busy: list[int] = busy) -> None:
@@ -239,9 +243,9 @@ def until_all(
             else:
                 heard(number, result)
 
-        run(one, left, note)
-        left = busy
-        time.sleep(PATIENCE if left else 0)
+        run(one, remaining, note)
+        remaining = busy
+        time.sleep(PATIENCE if remaining else 0)
 
 
 def pack(names: Sequence[str], values: Any, result: SampleResult) -> tuple[dict, dict[str, Any]]:
@@ -264,7 +268,7 @@ def pack(names: Sequence[str], values: Any, result: SampleResult) -> tuple[dict,
 def unpack(names: Sequence[str], figures: Any, columns: Mapping[str, Any]) -> SampleResult:
     """The samples of these columns, whose chunks say that these are their `figures`."""
     grouped = itertools.groupby(figures, key=lambda figure: figure[0])
-    named = tuple((Check[check], tuple(place for _, place in own)) for check, own in grouped)
+    named = tuple((Check[check], tuple(place for _, place in places)) for check, places in grouped)
     return SampleResult(
         dict(zip(names, columns[RESPONSES].T, strict=True)),
         columns[OUTCOME].astype(np.int32),
@@ -310,7 +314,7 @@ def as_tree(kind: Any, chunk: Chunk | None) -> Any:
     where it holds others, or there is none."""
     leaves, tree = jax.tree.flatten(kind)
     arrays = [] if chunk is None else [*chunk.arrays.values()]
-    if [(own.shape, own.dtype) for own in arrays] != [(own.shape, own.dtype) for own in leaves]:
+    if [(a.shape, a.dtype) for a in arrays] != [(a.shape, a.dtype) for a in leaves]:
         return None
     return jax.tree.unflatten(tree, arrays)
 
@@ -337,13 +341,13 @@ def evaluate_all(
     padded = np.concatenate([values, np.repeat(values[-1:], count * chunk - samples, axis=0)])
     pieces = padded.reshape(count, chunk, -1)
     saved = None if store is None else _Saved(store, problem, function, pieces)
-    found: list[Any] = [None if saved is None else saved.load(n) for n in range(count)]
-    left = [number for number, known in enumerate(found) if known is None]
+    results: list[Any] = [None if saved is None else saved.load(n) for n in range(count)]
+    remaining = [number for number, result in enumerate(results) if result is None]
     program, before = Program(problem, function), stops()
 
     def compute(number: int) -> Any:
         if compiled:
-            return program.run(pieces[number], before, once=len(left) == 1)
+            return program.run(pieces[number], before, single_use=len(remaining) == 1)
         return jax.tree.map(lambda leaf: np.asarray(leaf)[None], problem.evaluate(values[number]))
 
     def one(number: int) -> Any:
@@ -353,12 +357,12 @@ def evaluate_all(
         return saved.store.obtain(saved.addresses[number], load, save)
 
     with tqdm(total=samples, desc=label, disable=not progress_bar) as bar:
-        bar.update(max(samples - len(left) * chunk, 0))
+        bar.update(max(samples - len(remaining) * chunk, 0))
 
-        def heard(number: int, own: Any) -> None:
-            found[number] = own
+        def heard(number: int, result: Any) -> None:
+            results[number] = result
             bar.update(min(chunk, samples - bar.n))
 
-        if left:
-            until_all(one, left, heard, side_by_side if compiled else in_turn)
-    return jax.tree.map(lambda *parts: np.concatenate(parts)[:samples], *found)
+        if remaining:
+            until_all(one, remaining, heard, side_by_side if compiled else in_turn)
+    return jax.tree.map(lambda *parts: np.concatenate(parts)[:samples], *results)

@@ -25,7 +25,7 @@ from jaxclear.studies.problem import Problem
 from jaxclear.studies.replicas import MOST_REPLICAS
 from jaxclear.studies.sampling import check_sampled, checked_scramblings, groups
 from jaxclear.studies.sequential import FIRST_SAMPLES, first_of, until_accurate
-from jaxclear.studies.statistics.accuracy import Piece, asked_of
+from jaxclear.studies.statistics.accuracy import Piece, parse_accuracy
 from jaxclear.studies.store.batch import RESPONSES, VALUES
 from jaxclear.studies.store.digest import in_texts
 from jaxclear.studies.store.recorded import in_json, of_json
@@ -93,35 +93,35 @@ def campaign(
     """
     check_flags("campaign", verify=verify, progress_bar=progress_bar)
     if study is not None:
-        given = {"samples": samples, "seed": seed, "client": client}
-        given |= {"verify": None if verify else False}
-        given |= {"chunk": settings.pop("chunk", None), "progress_bar": progress_bar or None}
-        options = {name: own for name, own in given.items() if own is not None}
+        arguments = {"samples": samples, "seed": seed, "client": client}
+        arguments |= {"verify": None if verify else False}
+        arguments |= {"chunk": settings.pop("chunk", None), "progress_bar": progress_bar or None}
+        options = {name: value for name, value in arguments.items() if value is not None}
         return _run_study(study, problem, folder, options, settings)
     samples, seed = 1024 if samples is None else samples, 0 if seed is None else seed
     plan = _plan(problem, samples, seed, settings)
-    accuracy = asked_of(settings.get("accuracy"), problem.response_names, "campaign")
+    accuracy = parse_accuracy(settings.get("accuracy"), problem.response_names, "campaign")
     checked = ("seed", "sampling", "scramblings")[: 2 + ("scramblings" in settings)]
     check_folder(folder)
     try:
         with _workers(problem, client) as work:
-            kept = _begin(problem, plan, checked, samples, folder)
+            stored = _begin(problem, plan, checked, samples, folder)
             # The plan first: whatever ends the process from here on, the folder knows what was
             # asked of it.
             if accuracy is None:
-                kept = _with_room(kept, samples, samples, problem)
-            if len(kept.finished()):
-                kept.warn_of_versions()
-            run, short = _Run(work, kept, samples, progress_bar), ""
+                stored = _enlarge(stored, samples, samples, problem)
+            if len(stored.finished()):
+                stored.warn_of_versions()
+            run, short = _Run(work, stored, samples, progress_bar), ""
             if accuracy is None:
                 run.grow(samples)
             else:
-                first = max(plan.samples, kept.plan.samples)
+                first = max(plan.samples, stored.plan.samples)
                 short = until_accurate(problem, first, samples, accuracy, run.grown)
             if verify:
-                _verify(run.kept, work)
-            run.kept.conclude()
-            return Campaign(run.kept, problem, short)
+                _verify(run.stored, work)
+            run.stored.conclude()
+            return Campaign(run.stored, problem, short)
     except KeyboardInterrupt:
         raise KeyboardInterrupt(_interrupted(folder)) from None
 
@@ -140,12 +140,12 @@ def open_campaign(folder: str | Path, problem: Problem | None = None) -> Campaig
     Raises:
         ValueError: if the folder holds none, or one of another problem.
     """
-    kept = Samples.open(folder)
+    stored = Samples.open(folder)
     if problem is None:
-        return Campaign(kept, of_json(kept.description["recorded"]))
+        return Campaign(stored, of_json(stored.description["recorded"]))
     expect(problem, Problem, "problem of open_campaign", "a jaxclear.Problem")
-    kept.store.refuse_other(kept.description, KIND, in_texts(problem))
-    return Campaign(kept, problem)
+    stored.store.refuse_other(stored.description, KIND, in_texts(problem))
+    return Campaign(stored, problem)
 
 
 def _run_study(
@@ -161,12 +161,12 @@ def _run_study(
             "store=, such as jaxclear.sensitivity, or left out for a Monte Carlo study."
         )
     for name, value in options.items():
-        known = [own for own in (COUNTS if name == "samples" else (name,)) if own in takes]
-        if not known:
+        taken = [option for option in (COUNTS if name == "samples" else (name,)) if option in takes]
+        if not taken:
             raise ValueError(
                 f"jaxclear.{study.__name__} has no {name}; leave it out of the campaign."
             )
-        settings = settings | {known[0]: value}
+        settings = settings | {taken[0]: value}
     return study(problem, store=folder, **settings)
 
 
@@ -188,10 +188,10 @@ def _plan(problem: Any, samples: Any, seed: Any, settings: dict[str, Any]) -> Pl
     """The plan to begin with. Raises `ValueError` or `TypeError` with a sentence."""
     for name in settings:
         if name not in SAMPLED:
-            known = [*inspect.signature(campaign).parameters][:-1]
+            names = [*inspect.signature(campaign).parameters][:-1]
             raise TypeError(
                 f'jaxclear.campaign has no argument "{name}"; it takes '
-                f"{listed([*known, *SAMPLED])}.{meant(name, [*known, *SAMPLED])}"
+                f"{listed([*names, *SAMPLED])}.{meant(name, [*names, *SAMPLED])}"
             )
     sampling, scramblings = settings.get("sampling", "sobol"), settings.get("scramblings")
     check_sampled(problem, samples, seed, sampling)
@@ -212,60 +212,60 @@ def _begin(
 ) -> Samples:
     """The samples in a folder, which is told of them where there are none. `checked`: what of a
     plan must be as in the folder."""
-    found = Samples.create(folder, plan, in_texts(problem), in_json(problem))
+    created = Samples.create(folder, plan, in_texts(problem), in_json(problem))
     for name in checked:
-        there, here = getattr(found.plan, name), getattr(plan, name)
+        there, here = getattr(created.plan, name), getattr(plan, name)
         if there != here:
             raise ValueError(
-                f"the folder {found.folder} holds a campaign of this problem with "
+                f"the folder {created.folder} holds a campaign of this problem with "
                 f"{name}={there!r}, not {here!r}. Ask for the same, or give another folder."
             )
-    if found.plan.samples > most:
+    if created.plan.samples > most:
         raise ValueError(
-            f"the folder {found.folder} holds a campaign of this problem with "
-            f"samples={found.plan.samples}, more than {most}. Ask for as many or more, or "
+            f"the folder {created.folder} holds a campaign of this problem with "
+            f"samples={created.plan.samples}, more than {most}. Ask for as many or more, or "
             "give another folder."
         )
-    return found
+    return created
 
 
-def _with_room(kept: Samples, samples: int, most: int, problem: Problem) -> Samples:
+def _enlarge(stored: Samples, samples: int, most: int, problem: Problem) -> Samples:
     """The same with room for so many samples; for more, up to the `most`, where other processes
     have planned these."""
-    if kept.plan.samples >= samples:
-        return kept
-    return kept.extend(samples, batch_of(problem, samples)).view(most)
+    if stored.plan.samples >= samples:
+        return stored
+    return stored.extend(samples, batch_of(problem, samples)).view(most)
 
 
 class _Run:
     """Grows what is in a folder, to the `most` samples that are asked for; other processes may
     make it larger."""
 
-    def __init__(self, by: AbstractWork, kept: Samples, most: int, shown: bool):
-        self.by, self.kept, self.most, self.shown = by, kept, most, shown
+    def __init__(self, by: AbstractWork, stored: Samples, most: int, show_bar: bool):
+        self.by, self.stored, self.most, self.show_bar = by, stored, most, show_bar
 
     def grow(self, samples: int) -> None:
         """Has so many samples in the folder, and computes those that it lacks."""
-        self.kept = _with_room(self.kept, samples, self.most, self.by.problem)
-        plan = self.kept.plan
-        left = np.setdiff1d(np.arange(plan.chunks), self.kept.finished()).tolist()
-        if lost := self.kept.lost(left):
-            warn(lost)
-        if left:
-            with _progress(self.shown, plan, left) as heard:
-                self.by.compute(self.kept, left, heard)
+        self.stored = _enlarge(self.stored, samples, self.most, self.by.problem)
+        plan = self.stored.plan
+        remaining = np.setdiff1d(np.arange(plan.chunks), self.stored.finished()).tolist()
+        if missing := self.stored.describe_missing(remaining):
+            warn(missing)
+        if remaining:
+            with _progress(self.show_bar, plan, remaining) as heard:
+                self.by.compute(self.stored, remaining, heard)
 
     def grown(self, samples: int) -> Iterator[Piece]:
         """Has so many samples in the folder, and reads all that are then there in pieces of some
         chunks: responses (samples,), and their scramblings."""
         self.grow(samples)
-        names, plan = self.by.problem.response_names, self.kept.plan
+        names, plan = self.by.problem.response_names, self.stored.plan
         size = max(READ // plan.chunk, 1) * plan.chunk
         for first in range(0, plan.samples, size):
             at = slice(first, min(first + size, plan.samples))
-            rows = self.kept.read(at, RESPONSES)[RESPONSES]
-            own = groups(at.stop, plan.scramblings, at.start)
-            yield {name: rows[:, i] for i, name in enumerate(names)}, own
+            rows = self.stored.read(at, RESPONSES)[RESPONSES]
+            group = groups(at.stop, plan.scramblings, at.start)
+            yield {name: rows[:, i] for i, name in enumerate(names)}, group
 
 
 def _verify(samples: Samples, by: AbstractWork) -> None:
@@ -275,30 +275,30 @@ def _verify(samples: Samples, by: AbstractWork) -> None:
     count = min(MOST_REPLICAS, samples.plan.samples)
 
     def load() -> Any:
-        known = samples.finer()
-        return known if known is not None and len(known.outcome) >= count else None
+        finer = samples.finer()
+        return finer if finer is not None and len(finer.outcome) >= count else None
 
     def compute() -> Any:
-        known = samples.finer()
+        finer = samples.finer()
         values = samples.read(slice(0, count), VALUES)[VALUES]
-        left = values[0 if known is None else len(known.outcome) :]
-        found: Any = by.replicated(samples.plan, left)
-        found = dataclasses.replace(found, checks=Checks())
-        parts = [own for own in (known, found) if own is not None]
-        samples.keep_finer(values, jax.tree.map(lambda *own: np.concatenate(own), *parts))
+        remaining = values[0 if finer is None else len(finer.outcome) :]
+        result: Any = by.replicated(samples.plan, remaining)
+        result = dataclasses.replace(result, checks=Checks())
+        parts = [part for part in (finer, result) if part is not None]
+        samples.keep_finer(values, jax.tree.map(lambda *part: np.concatenate(part), *parts))
 
     if by.problem.refine() is not None:
         samples.store.obtain(VERIFYING, load, compute, wait=True)
 
 
 @contextmanager
-def _progress(shown: bool, plan: Plan, left: list[int]) -> Iterator[Heard]:
+def _progress(show_bar: bool, plan: Plan, remaining: list[int]) -> Iterator[Heard]:
     """A bar with rate, time left and failures so far; what is told of each finished chunk."""
-    sizes = {number: plan.span(number)[1] - plan.span(number)[0] for number in left}
+    sizes = {number: plan.span(number)[1] - plan.span(number)[0] for number in remaining}
     before = plan.samples - sum(sizes.values())
     failed = [0]
     with tqdm(
-        total=plan.samples, initial=before, desc="campaign", unit=" samples", disable=not shown
+        total=plan.samples, initial=before, desc="campaign", unit=" samples", disable=not show_bar
     ) as bar:
 
         def heard(number: int, failures: int) -> None:
@@ -312,10 +312,10 @@ def _progress(shown: bool, plan: Plan, left: list[int]) -> Iterator[Heard]:
 def _interrupted(folder: Any) -> str:
     """What is said after Ctrl-C."""
     try:
-        kept = Samples.open(folder)
+        stored = Samples.open(folder)
     except ValueError:
         return "The campaign was interrupted before its first chunk."
-    done, plan = len(kept.finished()), kept.plan
+    done, plan = len(stored.finished()), stored.plan
     return (
         f"The campaign was interrupted. {done} of {plan.chunks} chunks (of {plan.chunk} samples) "
         f"are kept in {folder}; ask the same again, and it goes on from there."

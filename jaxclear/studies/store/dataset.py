@@ -39,8 +39,8 @@ def dataset_of(samples: Samples) -> Any:
     columns[OUTCOME] = column(OUTCOME, **ended)
     columns[ENDED] = column(ENDED, units="s", long_name="when it ended")
     if samples.figures:
-        told = "worst figure that a run found out about itself"
-        columns["check_worst"] = column(WORST, long_name=told)
+        description = "worst figure that a run found out about itself"
+        columns["check_worst"] = column(WORST, long_name=description)
         columns["check_time"] = column(WHEN, units="s", long_name="when the worst was met")
     # Four bytes a sample: it is the one column that is not read when it is used.
     turns = np.resize(np.arange(plan.scramblings, dtype=np.int32), plan.samples)
@@ -84,20 +84,20 @@ def _lazy() -> Any:
             at, *rest = key
             if not isinstance(at, slice):
                 return self._rows(int(at), int(at) + 1)[(0, *rest)]
-            own = range(self.shape[0])[at]
-            first, last = (min(own), max(own) + 1) if own else (0, 0)
+            sel = range(self.shape[0])[at]
+            first, last = (min(sel), max(sel) + 1) if sel else (0, 0)
             rows = self._rows(first, last)
-            return (rows if own.step > 0 else rows[::-1])[(slice(None, None, abs(own.step)), *rest)]
+            return (rows if sel.step > 0 else rows[::-1])[(slice(None, None, abs(sel.step)), *rest)]
 
         def _rows(self, first, last):
-            found = np.full((last - first, *self.shape[1:]), self.fill, self.dtype)
+            values = np.full((last - first, *self.shape[1:]), self.fill, self.dtype)
             size = self.samples.plan.chunk
             for number in range(first // size, -(-last // size)):
                 at = slice(max(first, number * size), min(last, (number + 1) * size))
                 if self.there[number]:
                     rows = self.samples.read(at, self.name)[self.name]
                     rows = rows if self.which is None else rows[:, self.which]
-                    found[at.start - first : at.stop - first] = rows
-            return found
+                    values[at.start - first : at.stop - first] = rows
+            return values
 
-    return lambda *own: indexing.LazilyIndexedArray(Column(*own))
+    return lambda *arguments: indexing.LazilyIndexedArray(Column(*arguments))

@@ -53,47 +53,47 @@ class RecordedExperiment(AbstractExperiment):
         return self.description
 
 
-def of_json(told: dict[str, Any]) -> Problem:
+def of_json(record: dict[str, Any]) -> Problem:
     """The problem of which `in_json` wrote."""
     responses = {
-        name: ResponseInfo(**own)._replace(
-            depends_on=frozenset(own["depends_on"]),
-            horizon=np.inf if own["horizon"] is None else own["horizon"],
+        name: ResponseInfo(**info)._replace(
+            depends_on=frozenset(info["depends_on"]),
+            horizon=np.inf if info["horizon"] is None else info["horizon"],
         )
-        for name, own in zip(told["response_names"], told["responses"], strict=True)
+        for name, info in zip(record["response_names"], record["responses"], strict=True)
     }
-    endings = dict(zip(Outcome, told["endings"], strict=True))
-    description = Description(responses=responses, endings=endings, **told["description"])
-    values, units = iter(told["nominal_values"]), iter(told["variable_units"])
+    endings = dict(zip(Outcome, record["endings"], strict=True))
+    description = Description(responses=responses, endings=endings, **record["description"])
+    values, units = iter(record["nominal_values"]), iter(record["variable_units"])
     variables = {}
-    for name, parts in told["variables"]:
-        own = [(next(values), next(units)) for _ in parts or [name]]
-        nominal = np.array([value for value, _ in own]) if parts else np.asarray(own[0][0])
-        variables[name] = RecordedVariable(nominal, own[0][1], tuple(parts))
-    experiment = RecordedExperiment(description, tuple(told["response_names"]))
+    for name, parts in record["variables"]:
+        numbers = [(next(values), next(units)) for _ in parts or [name]]
+        nominal = np.array([value for value, _ in numbers]) if parts else np.asarray(numbers[0][0])
+        variables[name] = RecordedVariable(nominal, numbers[0][1], tuple(parts))
+    experiment = RecordedExperiment(description, tuple(record["response_names"]))
     return Problem.of(experiment, variables)
 
 
 def in_json(problem: Problem) -> dict[str, Any]:
     """What a folder remembers of a problem."""
-    own = problem.description
-    responses = [own.responses[name] for name in problem.response_names]
-    whole = ("title", "discretised", "warnings", "remark")
+    description = problem.description
+    responses = [description.responses[name] for name in problem.response_names]
+    keys = ("title", "discretised", "warnings", "remark")
     return {
         "names": problem.names,
         "variables": [[name, problem.variables[name].parts] for name in problem.variable_names],
         "variable_units": problem.variable_units,
         "nominal_values": [float(value) for value in problem.nominal()],
         "response_names": problem.response_names,
-        "response_units": [known.unit for known in responses],
-        "endings": [own.endings.get(code, how_it_ended(code)) for code in Outcome],
+        "response_units": [info.unit for info in responses],
+        "endings": [description.endings.get(code, how_it_ended(code)) for code in Outcome],
         "responses": [
-            known._asdict()
+            info._asdict()
             | {
-                "depends_on": sorted(known.depends_on),
-                "horizon": known.horizon if np.isfinite(known.horizon) else None,
+                "depends_on": sorted(info.depends_on),
+                "horizon": info.horizon if np.isfinite(info.horizon) else None,
             }
-            for known in responses
+            for info in responses
         ],
-        "description": {name: getattr(own, name) for name in whole},
+        "description": {name: getattr(description, name) for name in keys},
     }

@@ -28,17 +28,17 @@ from jaxclear.studies.store.samples import Samples
 
 def _of_all(method: Callable) -> Any:
     """A method of `MonteCarlo`, asked of the whole study in memory."""
-    return functools.wraps(method)(lambda self, *given, **how: method(self.sample, *given, **how))
+    return functools.wraps(method)(lambda self, *args, **how: method(self.sample, *args, **how))
 
 
 def _of_one(method: Callable) -> Any:
     """A method of `MonteCarlo` that asks about a response, with that one in memory."""
 
     @functools.wraps(method)
-    def asked(self: "Campaign", response: str, *given: Any, **how: Any) -> Any:
-        return method(self._reduced(response), response, *given, **how)
+    def call(self: "Campaign", response: str, *args: Any, **how: Any) -> Any:
+        return method(self._reduced(response), response, *args, **how)
 
-    return asked
+    return call
 
 
 @with_text_repr
@@ -86,10 +86,10 @@ class Campaign:
         """The finished samples as a Monte Carlo study, in memory; numbers of samples count them."""
         if not self._spans():
             raise self._empty()
-        parts = [self._samples.found(at) for at in self._spans()]
-        found = jax.tree.map(lambda *own: np.concatenate(own), *parts)
+        parts = [self._samples.result_of(at) for at in self._spans()]
+        result = jax.tree.map(lambda *arrays: np.concatenate(arrays), *parts)
         values = np.concatenate([self._samples.read(at, VALUES)[VALUES] for at in self._spans()])
-        return self._study(values, found)
+        return self._study(values, result)
 
     def sample_of(self, problem: Problem) -> MonteCarlo:
         """The finished samples in memory as a study of this problem. Raises `ValueError` with a
@@ -199,33 +199,33 @@ class Campaign:
             check_name("response", name, self.problem.response_names, " in this study")
         columns, outcomes, beyond = [], [], []
         for at in self._spans():
-            found = self._samples.found(at)
-            told = answered(self.problem, found.responses)
-            columns.append({n: np.where(told, found.responses[n], np.nan) for n in names})
-            outcomes.append(found.outcome.astype(np.int8))
-            beyond.append({c: np.asarray(own) for c, own in found.checks.beyond().items()})
+            result = self._samples.result_of(at)
+            is_answered = answered(self.problem, result.responses)
+            columns.append({n: np.where(is_answered, result.responses[n], np.nan) for n in names})
+            outcomes.append(result.outcome.astype(np.int8))
+            beyond.append({c: np.asarray(row) for c, row in result.checks.beyond().items()})
         if not columns:
             raise self._empty()
         checks = {
-            check: _as_figure(np.concatenate([own[check] for own in beyond])) for check in beyond[0]
+            check: _as_figure(np.concatenate([row[check] for row in beyond])) for check in beyond[0]
         }
-        responses: Any = {n: np.concatenate([own[n] for own in columns]) for n in names}
+        responses: Any = {n: np.concatenate([row[n] for row in columns]) for n in names}
         outcome: Any = np.concatenate(outcomes)
         ended: Any = np.zeros(len(outcome))
         reduced = SampleResult(responses, outcome, ended, Checks.of(checks))
         return self._study(np.zeros((len(outcome), 0)), reduced)
 
-    def _study(self, values: np.ndarray, found: Any) -> MonteCarlo:
-        names = [name for name in self.problem.response_names if name in found.responses]
+    def _study(self, values: np.ndarray, result: Any) -> MonteCarlo:
+        names = [name for name in self.problem.response_names if name in result.responses]
         return MonteCarlo(
             self.problem,
             values,
-            {name: found.responses[name] for name in names},
-            found.outcome,
-            found.ended,
+            {name: result.responses[name] for name in names},
+            result.outcome,
+            result.ended,
             self.seed,
             self.plan.batch,
-            found.checks,
+            result.checks,
             self._groups(),
             self._unfinished(),
             self._samples.replicas(),
@@ -241,7 +241,7 @@ def _as_figure(beyond: np.ndarray) -> Figure:
 GivenSample = MonteCarlo | Campaign
 
 
-def given_sample(problem: Problem, sample: GivenSample) -> MonteCarlo:
+def sample_of(problem: Problem, sample: GivenSample) -> MonteCarlo:
     """The sample that a study is given instead of drawing one, in memory. Raises `ValueError` with
     a sentence for one of another problem."""
     if isinstance(sample, Campaign):

@@ -40,7 +40,7 @@ BATCHES, OF_CAMPAIGN = 4, 64
 KIND = "a Monte Carlo campaign"
 FINER = "finer"
 # Up to how many samples all had been finished once.
-WHOLE = "whole"
+COMPLETE = "whole"
 
 
 class Plan(NamedTuple):
@@ -110,7 +110,7 @@ class Samples:
         drawn = [*self.plan[1:4], self.plan.chunk]
         self._drawn = compute_address(json.loads(description["problem"]), drawn)
         # Of the finished chunks that have been read, what computed them.
-        self._whole: dict[int, dict[str, str]] = {}
+        self._done: dict[int, dict[str, str]] = {}
 
     @classmethod
     def open(cls, folder: Any) -> "Samples":
@@ -141,9 +141,9 @@ class Samples:
     def view(self, most: int) -> "Samples":
         """The same as if no more than the most samples were planned."""
         fewer = self.plan._replace(samples=min(self.plan.samples, most))
-        found = Samples(self.store, self.description | {"plan": fewer._asdict()})
-        found._whole = {n: v for n, v in self._whole.items() if self.plan.span(n) == fewer.span(n)}
-        return found
+        view = Samples(self.store, self.description | {"plan": fewer._asdict()})
+        view._done = {n: v for n, v in self._done.items() if self.plan.span(n) == fewer.span(n)}
+        return view
 
     def extend(self, samples: int, usual: int) -> "Samples":
         """With room for so many, in batches of the `usual` size; for more, where another process
@@ -159,11 +159,11 @@ class Samples:
 
     def conclude(self) -> None:
         """Writes that all samples are finished, and tidies up."""
-        if self.description.get(WHOLE, 0) < (count := self.plan.samples):
+        if self.description.get(COMPLETE, 0) < (count := self.plan.samples):
 
             def change(saved: dict[str, Any] | None) -> dict[str, Any]:
                 saved = saved or self.description
-                return saved | {WHOLE: max(saved.get(WHOLE, 0), count)}
+                return saved | {COMPLETE: max(saved.get(COMPLETE, 0), count)}
 
             self.store.update(change)
         self.store.tidy()
@@ -175,42 +175,42 @@ class Samples:
     def chunk(self, number: int) -> Chunk | None:
         """A chunk; None where it is not finished."""
         first, last = self.plan.span(number)
-        found = self.store.read(self.address(number))
-        return None if found is None or found.about["samples"] < last - first else found
+        arrays = self.store.read(self.address(number))
+        return None if arrays is None or arrays.about["samples"] < last - first else arrays
 
     def finished(self) -> np.ndarray:
         """Numbers of the finished chunks, whose checksums are right."""
-        return np.array([n for n in range(self.plan.chunks) if self._is_whole(n)], int)
+        return np.array([n for n in range(self.plan.chunks) if self._is_complete(n)], int)
 
-    def _is_whole(self, number: int) -> bool:
-        if number not in self._whole and (found := self.chunk(number)) is not None:
-            self._whole[number] = found.about["versions"]
-        return number in self._whole
+    def _is_complete(self, number: int) -> bool:
+        if number not in self._done and (arrays := self.chunk(number)) is not None:
+            self._done[number] = arrays.about["versions"]
+        return number in self._done
 
-    def lost(self, left: list[int]) -> str:
+    def describe_missing(self, remaining: list[int]) -> str:
         """A sentence on those of the chunks that are left that were there before; "" for none."""
-        before = self.description.get(WHOLE, 0)
-        lost = [
+        before = self.description.get(COMPLETE, 0)
+        missing = [
             number
-            for number in left
+            for number in remaining
             if self.address(number) in self.store.damaged or self.plan.span(number)[1] <= before
         ]
-        if not lost:
+        if not missing:
             return ""
-        name = self.store.path(self.address(lost[0])).name
+        name = self.store.path(self.address(missing[0])).name
         return (
-            f"{len(lost)} of {self.plan.chunks} chunks in {self.folder} are missing or do not "
+            f"{len(missing)} of {self.plan.chunks} chunks in {self.folder} are missing or do not "
             f"match their checksums (the first is {name}); they are computed again."
         )
 
-    def write(self, number: int, values: np.ndarray, found: SampleResult) -> None:
+    def write(self, number: int, values: np.ndarray, result: SampleResult) -> None:
         """Keeps a chunk, signed with the versions that computed it. Samples that failed have no
         responses."""
-        reached: Any = found.reached_responses()
-        found = dataclasses.replace(found, responses=reached)
-        columns, about = pack(self.names, values, found)
+        reached: Any = result.reached_responses()
+        result = dataclasses.replace(result, responses=reached)
+        columns, about = pack(self.names, values, result)
         self.store.write(self.address(number), columns, about | {"versions": self._now})
-        self._whole[number] = self._now
+        self._done[number] = self._now
 
     @cached_property
     def _now(self) -> dict[str, str]:
@@ -220,8 +220,8 @@ class Samples:
     def figures(self) -> list[tuple[str, str]]:
         """Check and place of each figure that chunks hold, as the first finished one does."""
         chunks = (self.chunk(number) for number in range(self.plan.chunks))
-        first = next((own for own in chunks if own is not None), None)
-        return [] if first is None else [tuple(own) for own in first.about["figures"]]
+        first = next((chunk for chunk in chunks if chunk is not None), None)
+        return [] if first is None else [tuple(chunk) for chunk in first.about["figures"]]
 
     def read(self, at: slice, *names: str) -> dict[str, np.ndarray]:
         """These columns of some finished samples, or all, by name; figures in the order of
@@ -236,8 +236,8 @@ class Samples:
                     f"{self.store.path(self.address(number))} is missing or does not match its "
                     "checksum; ask jaxclear.campaign the same again, which computes it again."
                 )
-            own = slice(max(at.start, first) - first, min(at.stop, last) - first)
-            columns = {name: chunk.arrays[name][own] for name in names}
+            rows = slice(max(at.start, first) - first, min(at.stop, last) - first)
+            columns = {name: chunk.arrays[name][rows] for name in names}
             there = [tuple(figure) for figure in chunk.about["figures"]]
             if there != self.figures:
                 places = [there.index(f) if f in there else -1 for f in self.figures]
@@ -246,7 +246,7 @@ class Samples:
             parts.append(columns)
         return {name: np.concatenate([part[name] for part in parts]) for name in names}
 
-    def found(self, at: slice) -> SampleResult:
+    def result_of(self, at: slice) -> SampleResult:
         """What was computed of some samples, as the problem gave it."""
         return unpack(self.names, self.figures, self.read(at))
 
@@ -255,12 +255,12 @@ class Samples:
         chunk = self.store.read(compute_address(self._drawn, FINER))
         return None if chunk is None else unpack(self.names, (), chunk.arrays)
 
-    def keep_finer(self, values: np.ndarray, found: SampleResult) -> None:
+    def keep_finer(self, values: np.ndarray, result: SampleResult) -> None:
         """Keeps what the first samples, of these values, gave in finer runs."""
         address = compute_address(self._drawn, FINER)
         # A warning, where that is damaged.
         self.store.load(address)
-        self.store.write(address, *pack(self.names, values, found))
+        self.store.write(address, *pack(self.names, values, result))
 
     def replicas(self) -> Replicas | None:
         """The replicas of the first samples; None where there are none."""
@@ -268,24 +268,24 @@ class Samples:
         count = 0 if finer is None else len(finer.outcome)
         if finer is None or len(self.finished()) < -(-count // self.plan.chunk):
             return None
-        return together_with(self.names, self.found(slice(0, count)), finer, count)
+        return together_with(self.names, self.result_of(slice(0, count)), finer, count)
 
     def versions(self) -> tuple[dict[str, str], ...]:
         """Versions of the programs that computed finished chunks."""
-        told = [self._whole[int(number)] for number in self.finished()]
-        return tuple({json.dumps(own, sort_keys=True): own for own in told}.values())
+        versions = [self._done[int(number)] for number in self.finished()]
+        return tuple({json.dumps(one, sort_keys=True): one for one in versions}.values())
 
     def warn_of_versions(self) -> None:
         """A warning where chunks were computed by other versions than those to come."""
         now = self._now
         for before in self.versions():
             names = [name for name in {**before, **now} if before.get(name) != now.get(name)]
-            told = (
+            text = (
                 f"{n} {before.get(n, 'absent')} then, {now.get(n, 'absent')} now" for n in names
             )
             if names:
                 warn(
-                    f"chunks in {self.folder} were computed by other versions ({', '.join(told)}); "
+                    f"chunks in {self.folder} were computed by other versions ({', '.join(text)}); "
                     "numbers may differ from theirs in the last digits."
                 )
 

@@ -137,12 +137,12 @@ class Store:
         if self.description is not None:
             self.record(self.description)
             self.description = None
-        numbers = {name: np.asarray(own, order="C") for name, own in arrays.items()}
-        kinds = [(name, own.dtype.str, own.shape) for name, own in numbers.items()]
+        numbers = {name: np.asarray(array, order="C") for name, array in arrays.items()}
+        kinds = [(name, array.dtype.str, array.shape) for name, array in numbers.items()]
         head = json.dumps([about, kinds]).encode()
         parts: list[Any] = [head, b" " * (-(len(head) + 1) % ALIGNMENT), b"\n"]
-        for own in numbers.values():
-            parts += [own, bytes(-own.nbytes % ALIGNMENT)]
+        for array in numbers.values():
+            parts += [array, bytes(-array.nbytes % ALIGNMENT)]
         self._put(self.path(address), b"".join([_checksum(address, *parts), *parts]))
         self.damaged.discard(address)
 

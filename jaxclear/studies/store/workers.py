@@ -47,7 +47,7 @@ from jaxclear.studies.store.store import STUDY, compute_address
 # Samples are drawn in blocks of whole chunks, about so many, because a small draw costs as much.
 DRAWN = 1 << 14
 # Blocks of chunks asked of the scheduler at a time, for each thread of the workers.
-ASKED_A_THREAD = 2
+BLOCKS_PER_THREAD = 2
 # [s] after which a worker answers, whatever is left of its block: Dask's own work is little beside
 # it, and progress is still seen.
 WORTH = 1.0
@@ -82,7 +82,7 @@ class Evaluation:
         with self._drawing:
             if block not in self._drawn:
                 # Threads may still be at the block before.
-                self._drawn = {n: own for n, own in self._drawn.items() if n == block - 1}
+                self._drawn = {n: values for n, values in self._drawn.items() if n == block - 1}
                 ends = block * size, min((block + 1) * size, self.plan.samples)
                 self._drawn[block] = self._sample.span(*ends)
             return self._drawn[block][first - block * size : last - block * size]
@@ -93,8 +93,8 @@ class Evaluation:
         # The last batch is filled up with copies, so that all run the one compiled program.
         padded = np.concatenate([values, np.repeat(values[-1:], -count % batch, axis=0)])
         pieces = padded.reshape(-1, batch, values.shape[1])
-        found = [self.program.run(piece, self._stops) for piece in pieces]
-        return jax.tree.map(lambda *parts: np.concatenate(parts)[:count], *found)
+        results = [self.program.run(piece, self._stops) for piece in pieces]
+        return jax.tree.map(lambda *parts: np.concatenate(parts)[:count], *results)
 
 
 def failures(problem: Problem, outcome: Any, responses: dict[str, Any]) -> int:
@@ -108,17 +108,17 @@ def done(samples: Samples, evaluation: Evaluation, number: int) -> int | None:
     problem = evaluation.program.problem
 
     def load() -> int | None:
-        known = samples.chunk(number)
-        if known is None:
+        saved = samples.chunk(number)
+        if saved is None:
             return None
-        by_name = dict(zip(problem.response_names, known.arrays[RESPONSES].T, strict=True))
-        return failures(problem, known.arrays[OUTCOME], by_name)
+        by_name = dict(zip(problem.response_names, saved.arrays[RESPONSES].T, strict=True))
+        return failures(problem, saved.arrays[OUTCOME], by_name)
 
     def compute() -> int:
         values = evaluation.values(number)
-        found = evaluation.chunk(values)
-        samples.write(number, values, found)
-        return failures(problem, found.outcome, found.responses)
+        result = evaluation.chunk(values)
+        samples.write(number, values, result)
+        return failures(problem, result.outcome, result.responses)
 
     return samples.store.obtain(samples.address(number), load, compute)
 
@@ -183,26 +183,26 @@ class Workers(AbstractWork):
         place, most = str(samples.folder.resolve()), samples.plan.samples
         what = self.there, self.token, place, most, secrets.token_hex(8)
         threads = max(sum(self.client.nthreads().values()), 1)
-        left, asked = deque(numbers), {}
+        remaining, pending = deque(numbers), {}
         running = distributed.as_completed()
         try:
-            while left or asked:
-                while left and len(asked) < ASKED_A_THREAD * threads:
+            while remaining or pending:
+                while remaining and len(pending) < BLOCKS_PER_THREAD * threads:
                     # A block that takes too long comes back, so its size need only be fair.
-                    many = -(-len(left) // (ASKED_A_THREAD * threads))
-                    block = [left.popleft() for _ in range(many)]
+                    many = -(-len(remaining) // (BLOCKS_PER_THREAD * threads))
+                    block = [remaining.popleft() for _ in range(many)]
                     future = self.client.submit(_on_worker, *what, block, pure=False)
-                    asked[future.key] = block
+                    pending[future.key] = block
                     running.add(future)
                 future = next(running)
-                block = asked.pop(future.key)
+                block = pending.pop(future.key)
                 answers = _answer(future, block)
                 for number, failed in zip(block, answers, strict=False):
                     if failed is not None:
                         heard(number, failed)
                     else:
-                        left.append(number)
-                left.extend(block[len(answers) :])
+                        remaining.append(number)
+                remaining.extend(block[len(answers) :])
                 time.sleep(PATIENCE if None in answers else 0)
         finally:
             self.client.cancel([*running.futures])
@@ -252,7 +252,7 @@ def _on_worker(
     """Computes and keeps chunks of a block, on a worker, for as long as a task is to take: what
     `done` says of each."""
     with _MAKING:
-        samples, evaluation = _ready(_Once(token, problem), folder, most, campaign)
+        samples, evaluation = _ready(_Shared(token, problem), folder, most, campaign)
     ends, failed = time.perf_counter() + WORTH, [done(samples, evaluation, block[0])]
     for number in block[1:]:
         if time.perf_counter() > ends:
@@ -261,7 +261,7 @@ def _on_worker(
     return failed
 
 
-class _Once:
+class _Shared:
     """A problem that counts as the one that came first with the same token: its program is compiled
     once, however often Dask sends it."""
 
@@ -269,20 +269,20 @@ class _Once:
         self.token, self.problem = token, problem
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Once) and self.token == other.token
+        return isinstance(other, _Shared) and self.token == other.token
 
     def __hash__(self) -> int:
         return hash(self.token)
 
 
 @functools.lru_cache(maxsize=4)
-def _program(known: _Once) -> Program:
+def _program(once: _Shared) -> Program:
     """The program of the problem that came first: it serves later campaigns too."""
-    return Program(known.problem, wide=True)
+    return Program(once.problem, wide=True)
 
 
 @functools.lru_cache(maxsize=4)
-def _ready(known: _Once, folder: str, most: int, campaign: str) -> tuple[Samples, Evaluation]:
+def _ready(once: _Shared, folder: str, most: int, campaign: str) -> tuple[Samples, Evaluation]:
     """The folder and the program of a campaign on this worker."""
     if not (Path(folder) / STUDY).exists():
         raise ValueError(
@@ -290,4 +290,4 @@ def _ready(known: _Once, folder: str, most: int, campaign: str) -> tuple[Samples
             "share."
         )
     samples = Samples.open(folder).view(most)
-    return samples, Evaluation(_program(known), samples.plan)
+    return samples, Evaluation(_program(once), samples.plan)

@@ -18,21 +18,21 @@ import numpy as np
 from jaxclear.studies.scrambling import scrambled_normal
 
 
-class Known(NamedTuple):
+class Mean(NamedTuple):
     """Mean of what stands in for runs, and the variance of that."""
 
     value: float
     variance: float
 
     @classmethod
-    def of(cls, numbers: np.ndarray, scramblings: int) -> "Known":
+    def of(cls, numbers: np.ndarray, scramblings: int) -> "Mean":
         """By numbers (samples,) of scramblings of one length, one after the other."""
         means = numbers.reshape(scramblings, -1).mean(axis=1)
         return cls(float(means.mean()), float(means.var(ddof=1) / scramblings))
 
-    def times(self, weight: float) -> "Known":
+    def times(self, weight: float) -> "Mean":
         """The same of a multiple of it."""
-        return Known(weight * self.value, weight**2 * self.variance)
+        return Mean(weight * self.value, weight**2 * self.variance)
 
 
 def normal_blocks(

@@ -27,9 +27,9 @@ from jaxclear.studies.sampling import all_values
 from jaxclear.studies.statistics.scrambled import deviation_of_moments, student
 from jaxclear.studies.store.batch import evaluate_all
 from jaxclear.studies.store.store import open_store
-from jaxclear.studies.surface.control_variate import Known, normal_blocks, regressed
+from jaxclear.studies.surface.control_variate import Mean, normal_blocks, regressed
 from jaxclear.studies.surface.response_surface import ResponseSurface
-from jaxclear.studies.warned import told
+from jaxclear.studies.warned import sentences_among
 
 # Evaluations of the surface: so many scramblings of so many points, so many at once.
 SURFACE_SCRAMBLINGS, SURFACE_POINTS, TOGETHER = 16, 8192, 1024
@@ -72,8 +72,8 @@ class Corrected(AbstractAnswer):
         nothing from the surface."""
         text = f"{self.runs} runs in {self.scramblings} independent scramblings beside the "
         text += f"{len(self.surface.values)} of the surface, {self.failed} failed."
-        for name, own in self.probabilities.items():
-            text += f' P("{name}") = {own}.'
+        for name, probability in self.probabilities.items():
+            text += f' P("{name}") = {probability}.'
         rough = [n for n in self.means if not self.surface.trusted(n)]
         for name in rough:
             text += f' "{name}": the surface has a leave-one-out R2 of '
@@ -86,9 +86,9 @@ class Corrected(AbstractAnswer):
         units, quality = problem.units(), self.surface.quality
         columns = {"unit": Column(over, {name: units[name] for name in names})}
         columns |= means_and_deviations(self.means, self.deviations)
-        columns["gain"] = Column(over, {n: own.gain for n, own in self.means.items()}, "1")
+        columns["gain"] = Column(over, {n: mean.gain for n, mean in self.means.items()}, "1")
         columns["leave-one-out R2"] = Column(over, {n: quality[n] for n in names}, "1")
-        read = lambda part: [getattr(own, part) for own in limits.values()]
+        read = lambda part: [getattr(one, part) for one in limits.values()]
         columns |= {
             "probability": Column(("limit",), read("value"), "1", error=read("error")),
             "probability gain": Column(("limit",), read("gain"), "1"),
@@ -138,28 +138,28 @@ def corrected(
     normal = normal_blocks(scramblings, samples, len(problem.names), (seed, 0))
     values = jnp.asarray(all_values(problem, normal))
     with open_store(store, "a corrected surface", problem):
-        found = evaluate_all(problem, values, progress_bar=progress_bar, label="corrected")
-    own = {name: np.asarray(found.responses[name], float) for name in problem.response_names}
-    refuse_endless(problem, own, "mean or deviation", "jaxclear.monte_carlo serves")
-    good, _ = successes(problem, found.outcome, own)
+        result = evaluate_all(problem, values, progress_bar=progress_bar, label="corrected")
+    responses = {name: np.asarray(result.responses[name], float) for name in problem.response_names}
+    refuse_endless(problem, responses, "mean or deviation", "jaxclear.monte_carlo serves")
+    good, _ = successes(problem, result.outcome, responses)
     many = normal_blocks(SURFACE_SCRAMBLINGS, SURFACE_POINTS, len(problem.names), (seed, 1))
     there, free = _evaluated(surface, np.asarray(values)), _of_normal(surface, many)
     means, deviations, probabilities = {}, {}, {}
     for name in problem.response_names:
         weights = _weights(surface, name)
-        sampled = (own[name], there[name], good, scramblings)
+        sampled = (responses[name], there[name], good, scramblings)
         middle = float(np.mean(free[name]))
         means[name], deviations[name] = _moments(*sampled, free[name], middle, weights)
     for name, limit in limits.items():
         weight = float(all(surface.trusted(part.response) for part in limit.limits()))
-        fails = np.where(good, _fails(limit, own), 1.0)
+        fails = np.where(good, _fails(limit, responses), 1.0)
         parts = (fails, _fails(limit, there), np.ones_like(good), scramblings)
         # As if one run more had differed: that none did says little of what is rare.
         unseen = 1.0 / len(values)
         probabilities[name] = _mean(*parts, _fails(limit, free), weight, unseen)
     statistics = means, deviations, probabilities
     counts = len(values), int((~good).sum()), scramblings
-    return Corrected(surface, *statistics, *counts, told(problem, found.checks, good))
+    return Corrected(surface, *statistics, *counts, sentences_among(problem, result.checks, good))
 
 
 @eqx.filter_jit
@@ -185,7 +185,7 @@ def _of_normal(surface: ResponseSurface, normal: np.ndarray) -> dict[str, np.nda
 
 def _fails(limit: AbstractLimitState, responses: dict[str, np.ndarray]) -> np.ndarray:
     """1 where a sample fails, else 0, (samples,)."""
-    margins = np.stack([np.asarray(own.margin(responses)) for own in limit.limits()], axis=1)
+    margins = np.stack([np.asarray(part.margin(responses)) for part in limit.limits()], axis=1)
     return (system_margin(margins, limit.cut_sets()) < 0).astype(float)
 
 
@@ -194,33 +194,33 @@ def _weights(surface: ResponseSurface, name: str) -> tuple[float, float]:
     from runs that it has not seen; 0 where it is not trusted."""
     if not surface.trusted(name):
         return 0.0, 0.0
-    runs, said = surface.responses[name], surface.predictions[name]
-    away = [np.stack([own - said.mean(), (own - said.mean()) ** 2], axis=1) for own in (runs, said)]
+    runs, fitted = surface.responses[name], surface.predictions[name]
+    away = [np.stack([y - fitted.mean(), (y - fitted.mean()) ** 2], axis=1) for y in (runs, fitted)]
     first, second = regressed(*away)
     return float(first), float(second)
 
 
 def _block_means(numbers: np.ndarray, good: np.ndarray, blocks: int) -> np.ndarray:
     """Means (blocks,) of the good numbers of each block."""
-    kept = np.where(good, numbers, 0.0).reshape(blocks, -1).sum(axis=1)
-    return kept / np.maximum(good.reshape(blocks, -1).sum(axis=1), 1)
+    valid = np.where(good, numbers, 0.0).reshape(blocks, -1).sum(axis=1)
+    return valid / np.maximum(good.reshape(blocks, -1).sum(axis=1), 1)
 
 
-def _left(numbers, there, good, blocks, free, weight):
+def _residuals(numbers, there, good, blocks, free, weight):
     """What the surface leaves, block by block, with and without it; its own mean added, and the
     variance of that."""
     plain = _block_means(numbers, good, blocks)
-    known = Known.of(free, SURFACE_SCRAMBLINGS).times(weight)
-    left = plain - weight * _block_means(there, good, blocks)
-    return plain, left + known.value, known.variance
+    control = Mean.of(free, SURFACE_SCRAMBLINGS).times(weight)
+    residual = plain - weight * _block_means(there, good, blocks)
+    return plain, residual + control.value, control.variance
 
 
 def _mean(numbers, there, good, blocks, free, weight, unseen=0.0) -> CorrectedStatistic:
-    plain, left, own = _left(numbers, there, good, blocks, free, weight)
-    variance = left.var(ddof=1) / blocks + own + unseen**2
+    plain, residual, control_variance = _residuals(numbers, there, good, blocks, free, weight)
+    variance = residual.var(ddof=1) / blocks + control_variance + unseen**2
     gain = (plain.var(ddof=1) / blocks + unseen**2) / variance if variance > 0 else np.inf
     width = student(blocks) * np.sqrt(variance)
-    return CorrectedStatistic(float(left.mean()), float(width), float(gain if weight else 1.0))
+    return CorrectedStatistic(float(residual.mean()), float(width), float(gain if weight else 1.0))
 
 
 def _moments(
@@ -228,8 +228,8 @@ def _moments(
 ) -> tuple[CorrectedStatistic, CorrectedStatistic]:
     """Mean and standard deviation."""
     mean = _mean(numbers, there, good, blocks, free, weights[0])
-    first = _left(numbers - middle, there - middle, good, blocks, free - middle, weights[0])
-    second = _left(
+    first = _residuals(numbers - middle, there - middle, good, blocks, free - middle, weights[0])
+    second = _residuals(
         (numbers - middle) ** 2, (there - middle) ** 2, good, blocks, (free - middle) ** 2,
         weights[1],
     )  # fmt: skip

@@ -22,7 +22,7 @@ from jaxclear.studies.surface.polynomials import (
     products,
 )
 from jaxclear.studies.surface.response_surface import ResponseSurface
-from jaxclear.studies.warned import told
+from jaxclear.studies.warned import sentences_among
 
 # Singular values below this share of the largest carry no number.
 RANK = 1e-10
@@ -52,10 +52,10 @@ def least_squares(design: np.ndarray, target: np.ndarray) -> Fit:
     """
     runs, equations, terms = design.shape
     left, sizes, right = np.linalg.svd(design.reshape(-1, terms), full_matrices=False)
-    kept = sizes > RANK * sizes[0]
-    left = left[:, kept]
+    mask = sizes > RANK * sizes[0]
+    left = left[:, mask]
     flat = target.reshape(runs * equations, -1)
-    coefficients = right[kept].T @ ((left.T @ flat) / sizes[kept, None])
+    coefficients = right[mask].T @ ((left.T @ flat) / sizes[mask, None])
     residual = (flat - left @ (left.T @ flat)).reshape(runs, equations, -1)
     blocks = left.reshape(runs, equations, -1)
     freedom = np.eye(equations) - np.einsum("rik,rjk->rij", blocks, blocks)
@@ -76,18 +76,18 @@ def least_squares(design: np.ndarray, target: np.ndarray) -> Fit:
 def fitted(
     problem: Problem,
     values: np.ndarray,
-    found: SampleResult,
+    result: SampleResult,
     *,
     degree: int | None = None,
     gradients: dict[str, np.ndarray] | None = None,
 ) -> ResponseSurface:
-    """The surface through runs that are there: `found` are their outcomes at `values` (runs,
+    """The surface through runs that are there: `result` are their outcomes at `values` (runs,
     variables), `gradients` the slopes of each response, (runs, variables). Runs that failed are
     left out and counted; without a `degree` each response takes that of 1 to 4 which predicts runs
     best. Raises `ValueError` where too few runs reached their end.
     """
     names = problem.response_names
-    values, target, slopes, failed = _good(names, values, found, gradients)
+    values, target, slopes, failed = _good(names, values, result, gradients)
     equations = len(values) * (1 + (values.shape[1] if gradients is not None else 0))
     degrees = (degree,) if degree is not None else _degrees(values.shape[1], equations)
     if len(values) < 2 or not degrees:
@@ -107,15 +107,15 @@ def fitted(
             f"degree{fewer}."
         )
     if degree is not None and len(table) > MOST_SHARE * equations:
-        wanted = int(np.ceil(len(table) / MOST_SHARE * len(values) / equations))
+        run_count = int(np.ceil(len(table) / MOST_SHARE * len(values) / equations))
         raise ValueError(
             f"a surface of degree {degree} in {values.shape[1]} variables has {len(table)} terms, "
-            f"and {len(values)} runs reached their end; take at least {wanted} runs, or a lower "
+            f"and {len(values)} runs reached their end; take at least {run_count} runs, or a lower "
             "degree."
         )
-    kept = [np.flatnonzero(table.sum(axis=1) <= d) for d in degrees]
+    term_sets = [np.flatnonzero(table.sum(axis=1) <= d) for d in degrees]
     system = _equations(polynomials, table, values, target, slopes)
-    coefficients, chosen, which = _best(*system, kept)
+    coefficients, chosen, which = _best(*system, term_sets)
     by_name = lambda numbers: dict(zip(names, numbers, strict=True))
     return ResponseSurface(
         problem,
@@ -128,33 +128,35 @@ def fitted(
         by_name(target.T),
         by_name([fit.predictions[:, i] for i, fit in enumerate(chosen)]),
         failed,
-        warnings=told(problem, found.checks, np.asarray(found.outcome) == Outcome.REACHED),
+        warnings=sentences_among(
+            problem, result.checks, np.asarray(result.outcome) == Outcome.REACHED
+        ),
     )
 
 
 def _best(
-    design: np.ndarray, aims: np.ndarray, kept: list[np.ndarray]
+    design: np.ndarray, aims: np.ndarray, term_sets: list[np.ndarray]
 ) -> tuple[np.ndarray, list[Fit], np.ndarray]:
     """For each response the fit that predicts runs best: coefficients (responses, terms), the fits,
-    and their places in `kept`, which are the terms of each."""
-    fits = [least_squares(design[:, :, own], aims) for own in kept]
+    and their places in `term_sets`, which are the terms of each."""
+    fits = [least_squares(design[:, :, terms], aims) for terms in term_sets]
     best = np.argmax([fit.quality for fit in fits], axis=0)
     coefficients = np.zeros((len(best), design.shape[2]))
     for i, which in enumerate(best):
-        coefficients[i, kept[which]] = fits[which].coefficients[:, i]
+        coefficients[i, term_sets[which]] = fits[which].coefficients[:, i]
     return coefficients, [fits[which] for which in best], best
 
 
 def _good(
     names: tuple[str, ...],
     values: np.ndarray,
-    found: SampleResult,
+    result: SampleResult,
     gradients: dict[str, np.ndarray] | None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None, int]:
     """Values (runs, variables), responses (runs, responses) and slopes (runs, variables, responses)
     of the runs that reached their end, and how many did not."""
-    target = np.stack([np.asarray(found.responses[name], float) for name in names], axis=1)
-    good = (np.asarray(found.outcome) == Outcome.REACHED) & np.isfinite(target).all(axis=1)
+    target = np.stack([np.asarray(result.responses[name], float) for name in names], axis=1)
+    good = (np.asarray(result.outcome) == Outcome.REACHED) & np.isfinite(target).all(axis=1)
     slopes = None
     if gradients is not None:
         slopes = np.stack([gradients[name] for name in names], axis=2)
@@ -176,7 +178,7 @@ def _equations(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Terms (runs, equations, terms) and what they are to give (runs, equations, responses): the
     value of each run, and its slopes for one deviation of each variable."""
-    terms = lambda own: products(polynomials, jnp.asarray(table), own)
+    terms = lambda at: products(polynomials, jnp.asarray(table), at)
     design = np.asarray(jax.jit(jax.vmap(terms))(jnp.asarray(values)))[:, None]
     aims = target[:, None]
     if slopes is None:

@@ -47,13 +47,13 @@ class Polynomials(eqx.Module):
     def __call__(self, values: Float[Array, " variables"]) -> Float[Array, "terms variables"]:
         """The polynomials' values, (degree + 1, variables) [1]; differentiable."""
         s = (values - self.centre) / self.scale
-        found = [jnp.ones_like(s)]
+        columns = [jnp.ones_like(s)]
         below, norm = jnp.zeros_like(s), jnp.zeros_like(s)
         for middle, size in zip(self.middles, self.norms, strict=True):
-            raised = (s - middle) * found[-1] - norm * below
-            below, norm = found[-1], size
-            found.append(jnp.where(size > 0, raised / jnp.where(size > 0, size, 1.0), 0.0))
-        return jnp.stack(found)
+            raised = (s - middle) * columns[-1] - norm * below
+            below, norm = columns[-1], size
+            columns.append(jnp.where(size > 0, raised / jnp.where(size > 0, size, 1.0), 0.0))
+        return jnp.stack(columns)
 
 
 def orthonormal(values: np.ndarray, degree: int) -> Polynomials:
@@ -61,15 +61,15 @@ def orthonormal(values: np.ndarray, degree: int) -> Polynomials:
     centre, scale = values.mean(axis=0), values.std(axis=0)
     scale = np.where(scale > NOTHING * np.maximum(abs(centre), np.finfo(float).tiny), scale, 0.0)
     s = (values - centre) / np.where(scale > 0, scale, 1.0)
-    own, below, norm = np.ones_like(s) * (scale >= 0), np.zeros_like(s), np.zeros(s.shape[1])
+    current, below, norm = np.ones_like(s) * (scale >= 0), np.zeros_like(s), np.zeros(s.shape[1])
     middles, norms = np.zeros((degree, s.shape[1])), np.zeros((degree, s.shape[1]))
     for k in range(degree):
-        middles[k] = np.mean(s * own * own, axis=0)
-        raised = (s - middles[k]) * own - norm * below
+        middles[k] = np.mean(s * current * current, axis=0)
+        raised = (s - middles[k]) * current - norm * below
         size = np.sqrt(np.mean(raised * raised, axis=0))
         norms[k] = np.where((size > NOTHING) & (scale > 0), size, 0.0)
-        below, norm = own, norms[k]
-        own = np.where(norm > 0, raised / np.where(norm > 0, norm, 1.0), 0.0)
+        below, norm = current, norms[k]
+        current = np.where(norm > 0, raised / np.where(norm > 0, norm, 1.0), 0.0)
     scale = np.where(scale > 0, scale, 1.0)
     return Polynomials(*(jnp.asarray(part) for part in (centre, scale, middles, norms)))
 
@@ -84,21 +84,21 @@ def powers(highest: np.ndarray, degree: int) -> np.ndarray:
     first; no variable is beyond its own `highest` (variables,). Raises `ValueError` where they are
     too many.
     """
-    found: list[dict[int, int]] = [{}]
+    result: list[dict[int, int]] = [{}]
     sums = [0]
     for variable, most in enumerate(highest):
-        for place in range(len(found)):
+        for place in range(len(result)):
             for power in range(1, int(min(most, degree)) + 1):
                 if sums[place] + power <= degree:
-                    found.append(found[place] | {variable: power})
+                    result.append(result[place] | {variable: power})
                     sums.append(sums[place] + power)
-        if len(found) > MOST_TERMS:
+        if len(result) > MOST_TERMS:
             raise ValueError(
                 f"degree {degree} in {len(highest)} variables has more than {MOST_TERMS} terms; "
                 "take a lower degree."
             )
-    table = np.zeros((len(found), len(highest)), int)
-    for row, term in zip(table, found, strict=True):
+    table = np.zeros((len(result), len(highest)), int)
+    for row, term in zip(table, result, strict=True):
         row[list(term)] = list(term.values())
     return table[np.argsort(sums, kind="stable")]
 
@@ -109,8 +109,8 @@ def products(
     values: Float[Array, " variables"],
 ) -> Float[Array, " terms"]:
     """The products of polynomials at one set of values; differentiable."""
-    found = polynomials(values)
-    return jnp.prod(found[table, jnp.arange(len(values))], axis=1)
+    polynomial_values = polynomials(values)
+    return jnp.prod(polynomial_values[table, jnp.arange(len(values))], axis=1)
 
 
 class Expansion(NamedTuple):
@@ -130,40 +130,40 @@ class Expansion(NamedTuple):
         polynomials: Polynomials,
         powers: np.ndarray,
         inputs: Inputs,
-        known: np.ndarray,
+        points: np.ndarray,
         groups: tuple[range, ...],
-        held: bool = False,
+        is_clipped: bool = False,
     ) -> "Expansion":
-        """Under the law of independent variables. `known` (values, variables) are those at which
-        there were runs; `groups`: the places of the numbers of each variable; `held`: beyond the
-        outermost of the known values polynomials stay as they are there."""
+        """Under the law of independent variables. `points` (values, variables) are those at which
+        there were runs; `groups`: the places of the numbers of each variable; `is_clipped`: beyond
+        the outermost of the known values polynomials stay as they are there."""
         scores = np.linspace(-LARGEST_SCORE, LARGEST_SCORE, SCORES)
         weights = np.exp(-0.5 * scores**2)
         weights /= weights.sum()
         every = np.broadcast_to(scores[:, None], (SCORES, powers.shape[1]))
 
         def law(scores):
-            values = np.asarray(inputs.of_scores(jnp.asarray(scores)))
-            inside = np.clip(values, known.min(axis=0), known.max(axis=0))
-            at = np.asarray(jax.vmap(polynomials)(jnp.asarray(inside if held else values)))
+            values = np.asarray(inputs.of_scores(scores))
+            inside = np.clip(values, points.min(axis=0), points.max(axis=0))
+            at = np.asarray(jax.vmap(polynomials)(jnp.asarray(inside if is_clipped else values)))
             return inside != values, at
 
         beyond, at = law(every)
         outside = weights @ beyond
         change = np.ones((len(powers), len(powers)))
         for group in groups:
-            own = powers[:, list(group)]
+            group_powers = powers[:, list(group)]
             if len(group) == 1:
-                rows, which = at[:, : own.max() + 1, group[0]], own[:, 0]
+                rows, which = at[:, : group_powers.max() + 1, group[0]], group_powers[:, 0]
                 shares = weights
             else:
                 # All products of the numbers that act together, the lowest first.
                 scores, shares = _together(len(group), list(group), powers.shape[1])
                 beyond, there = law(scores)
                 outside[list(group)] = shares @ beyond[:, list(group)]
-                table = np.unique(own, axis=0)
+                table = np.unique(group_powers, axis=0)
                 table = table[np.argsort(table.sum(axis=1), kind="stable")]
-                which = np.argmax((own[:, None] == table).all(axis=2), axis=1)
+                which = np.argmax((group_powers[:, None] == table).all(axis=2), axis=1)
                 rows = np.prod(there[:, table, np.array(group)], axis=2)
             # p = lower q, with q orthonormal: moments of p are lower lower^T.
             upper: Any = np.linalg.qr(np.sqrt(shares)[:, None] * rows, mode="r")
@@ -175,12 +175,12 @@ class Expansion(NamedTuple):
     def variances(self, coefficients: np.ndarray) -> tuple[float, float, Any, Any]:
         """Of the surface with these coefficients (terms,): mean, variance, and which parts of it a
         variable has alone or with others, (groups,); the response's unit or its square."""
-        own = self.change @ coefficients
-        squares = own**2
+        transformed = self.change @ coefficients
+        squares = transformed**2
         there = np.stack([self.powers[:, list(g)].any(axis=1) for g in self.groups], axis=1)
         constant = ~there.any(axis=1)
         alone = there & (there.sum(axis=1) == 1)[:, None]
-        mean, variance = own[constant].sum(), squares[~constant].sum()
+        mean, variance = transformed[constant].sum(), squares[~constant].sum()
         return float(mean), float(variance), squares @ alone, squares @ there
 
 

@@ -82,7 +82,7 @@ class ResponseSurface(AbstractAnswer):
     def _stated(self):
         problem, over = self.problem, (RESPONSE,)
         names, units = problem.response_names, problem.units()
-        read = lambda own: {name: own(name) for name in names}
+        read = lambda function: {name: function(name) for name in names}
         columns = {
             "unit": Column(over, read(units.get)),
             "degree": Column(over, self.degrees),
@@ -93,11 +93,11 @@ class ResponseSurface(AbstractAnswer):
         }
         for i, (name, unit) in enumerate(zip(problem.names, problem.variable_units, strict=True)):
             columns[name] = Column(("run",), self.values[:, i], unit, kind=VARIABLE)
-        said = "what the other runs say of it"
+        label = "what the other runs say of it"
         for name in names:
-            own, others = self.responses[name], self.predictions[name]
-            columns[name] = Column(("run",), own, units[name], kind=RESPONSE)
-            columns[f"{name} predicted"] = Column(("run",), others, units[name], said)
+            values, others = self.responses[name], self.predictions[name]
+            columns[name] = Column(("run",), values, units[name], kind=RESPONSE)
+            columns[f"{name} predicted"] = Column(("run",), others, units[name], label)
         coefficients = np.array([np.asarray(self.coefficients[name]) for name in names])
         columns["coefficient"] = Column((RESPONSE, "term"), coefficients)
         columns["power"] = Column(("term", VARIABLE), np.asarray(self.powers), "1")

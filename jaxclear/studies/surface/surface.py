@@ -26,7 +26,7 @@ from jaxclear.studies.problem import Problem
 from jaxclear.studies.sampling import all_values
 from jaxclear.studies.scrambling import scrambled_normal
 from jaxclear.studies.store.batch import evaluate_all
-from jaxclear.studies.store.result import GivenSample, given_sample
+from jaxclear.studies.store.result import GivenSample, sample_of
 from jaxclear.studies.store.store import stored
 from jaxclear.studies.surface.fitting import fitted
 from jaxclear.studies.surface.polynomials import powers
@@ -54,16 +54,16 @@ def check_region(problem: Problem, over: Any) -> None:
     if not isinstance(over, Mapping):
         check_number("over of surface (or ranges by name)", over, above=0)
         return
-    for name, own in over.items():
+    for name, bounds in over.items():
         check_name("variable", name, problem.names, " in this problem")
-        pair = isinstance(own, (tuple, list)) and len(own) == 2
+        pair = isinstance(bounds, (tuple, list)) and len(bounds) == 2
         if (
             not pair
-            or not all(isinstance(x, NUMBER) and np.isfinite(x) for x in own)
-            or own[0] >= own[1]
+            or not all(isinstance(x, NUMBER) and np.isfinite(x) for x in bounds)
+            or bounds[0] >= bounds[1]
         ):
             raise ValueError(
-                f'over["{name}"] of surface is {own!r}; it must be two finite numbers, low and '
+                f'over["{name}"] of surface is {bounds!r}; it must be two finite numbers, low and '
                 "high."
             )
 
@@ -121,17 +121,17 @@ def surface(
     if why:
         raise ValueError(f"this problem has no exact slopes ({why}); take slopes=False.")
     if isinstance(sample, GivenSample):
-        values, found, lacking = _there(given_sample(problem, sample), slopes)
+        values, result, lacking = _there(sample_of(problem, sample), slopes)
         gradients = None
     else:
         count = len(powers(np.full(len(problem.names), 2), 2))
         runs = max(RUNS_PER_TERM * count, FEWEST) if sample is None else sample
         check_count("sample of surface (how many runs, a Monte Carlo study or a campaign)", runs)
         values = drawn(problem, runs, over, seed)
-        found, gradients = run(problem, values, slopes=slopes, progress_bar=progress_bar)
+        result, gradients = run(problem, values, slopes=slopes, progress_bar=progress_bar)
         lacking = ""
-    refuse_endless(problem, found.responses, "surface", INSTEAD)
-    through = fitted(problem, values, found, degree=degree, gradients=gradients)
+    refuse_endless(problem, result.responses, "surface", INSTEAD)
+    through = fitted(problem, values, result, degree=degree, gradients=gradients)
     return dataclasses.replace(through, unreached=lacking)
 
 
@@ -148,12 +148,12 @@ def _there(study: MonteCarlo, slopes: bool) -> tuple[np.ndarray, SampleResult, s
 def _with_slopes(problem: Problem, values: Float[Array, "samples variables"]):
     """Outcomes of a chunk of samples, and the slopes of their responses, (samples, variables)."""
 
-    def one(own):
+    def one(row):
         def responses(at):
             result = problem.evaluate(at)
             return result.responses, result
 
-        return jax.jacfwd(responses, has_aux=True)(own)
+        return jax.jacfwd(responses, has_aux=True)(row)
 
     return jax.vmap(one)(values)
 

@@ -87,9 +87,9 @@ class ZoneVariable(AbstractMechanismVariable):
         if self.datum is not None and marker.at is not None:
             there = marker_at(subject, self.datum).at
             moved = zip(marker.at, there, self.datum_at or (), strict=False)
-            place = tuple(own + (new - old) for own, new, old in moved)
-            marker = eqx.tree_at(lambda own: own.at, marker, place)
-        return eqx.tree_at(lambda own: marker_at(own, self.zone.marker), subject, marker)
+            place = tuple(x + (new - old) for x, new, old in moved)
+            marker = eqx.tree_at(lambda x: x.at, marker, place)
+        return eqx.tree_at(lambda x: marker_at(x, self.zone.marker), subject, marker)
 
     def check(self, name, mechanism):
         marker_at(mechanism, self.zone.marker, name)
@@ -143,13 +143,13 @@ class Drawing(AbstractQuantified):
         if general is not None and not GENERAL.fullmatch(str(general)):
             wrong = f"general of a Drawing is {described(general)}"
             raise ValueError(f'{wrong}; it must be a class of ISO 2768-1, such as "ISO 2768-m".')
-        own = {name: Fit(one) if isinstance(one, str) else one for name, one in lines.items()}
-        for name, one in own.items():
+        entries = {name: Fit(one) if isinstance(one, str) else one for name, one in lines.items()}
+        for name, one in entries.items():
             which = 'a fit such as "20 H7/g6", or one of jaxclear.tolerance'
             expect(one, AbstractTolerance, f'line "{name}" of a Drawing', which)
-        fits = {name: one for name, one in own.items() if isinstance(one, Fit)}
-        zones = {name: one for name, one in own.items() if isinstance(one, AbstractZone)}
-        found: dict[str, Line] = {}
+        fits = {name: one for name, one in entries.items() if isinstance(one, Fit)}
+        zones = {name: one for name, one in entries.items() if isinstance(one, AbstractZone)}
+        all_lines: dict[str, Line] = {}
         for name, one in fits.items():
             check_name("joint", name, mechanism.topology.clearances, " with clearance")
             one.check_clearance(name)
@@ -157,36 +157,36 @@ class Drawing(AbstractQuantified):
             sizes.check(name, mechanism)
             mechanism = sizes.put(name, mechanism, sizes.means)
             ends = [
-                (one.size + own[0], one.size + own[1])
-                for own in (one.hole_limits, one.shaft_limits)
+                (one.size + limits[0], one.size + limits[1])
+                for limits in (one.hole_limits, one.shaft_limits)
             ]
-            found[name] = Line(f"joint {name}", one.specification, sizes, ends)
+            all_lines[name] = Line(f"joint {name}", one.specification, sizes, ends)
         plane = all_planar(mechanism.bodies)
         for name, zone in zones.items():
             mechanism = _ready(mechanism, name, zone, plane)
         for name in _by_datum(zones):
-            found[name] = _zone_line(mechanism, name, zones, fits, plane)
-        for name, one in own.items():
+            all_lines[name] = _zone_line(mechanism, name, zones, fits, plane)
+        for name, one in entries.items():
             if isinstance(one, Size):
-                found[name] = _size_line(mechanism, name, one, general)
-        self.mechanism, self.lines, self.names = mechanism, found, tuple(found)
-        self.variables = {name: line.variable for name, line in found.items()}
+                all_lines[name] = _size_line(mechanism, name, one, general)
+        self.mechanism, self.lines, self.names = mechanism, all_lines, tuple(all_lines)
+        self.variables = {name: line.variable for name, line in all_lines.items()}
 
     def table(self) -> Any:
         """The drawing as a pandas table: a row for each feature, with its limits and how parts
         scatter between them."""
         rows = []
         for name in self.names:
-            feature, specification, own, limits = self.lines[name]
-            law = own.distribution
+            feature, specification, variable, limits = self.lines[name]
+            law = variable.distribution
             members = law.members if isinstance(law, Independent) else (law,)
             members = members if len(members) == len(limits) else (law,)
-            labels = own.parts if len(own.parts) == len(limits) else [""]
+            labels = variable.parts if len(variable.parts) == len(limits) else [""]
             for label, member, ends in zip(labels, members, limits, strict=True):
                 row: dict[str, Any] = {"line": name, "feature": f"{feature} {label}".strip()}
                 row |= {"specification": specification}
                 row |= {"lower": float(ends[0]), "upper": float(ends[1])}
-                row |= {"unit": own.unit_in(self.mechanism), "distribution": in_a_line(member)}
+                row |= {"unit": variable.unit_in(self.mechanism), "distribution": in_a_line(member)}
                 rows.append(row)
         return as_table(rows)
 
@@ -212,9 +212,9 @@ def _ready(mechanism: Mechanism, name: str, zone: AbstractZone, plane: bool) -> 
             "the marker's frame, and a direction to an axis in the plane, or take bodies in space."
         )
     joint, _, side = zone.marker.rpartition(".")
-    own = mechanism.connections[joint]
-    ends = {"parent": own.parent, "child": own.child} | {side: with_numbers(marker, zone, plane)}
-    changed = dict(mechanism.connections.items()) | {joint: Connection(own.joint, **ends)}
+    c = mechanism.connections[joint]
+    ends = {"parent": c.parent, "child": c.child} | {side: with_numbers(marker, zone, plane)}
+    changed = dict(mechanism.connections.items()) | {joint: Connection(c.joint, **ends)}
     return rebuilt(mechanism, connections=changed)
 
 
@@ -222,11 +222,11 @@ def _by_datum(zones: dict[str, AbstractZone]) -> list[str]:
     """The names of zones, each behind that which moves its datum."""
     order: list[str] = []
     while len(order) < len(zones):
-        left = [name for name in zones if name not in order]
-        free = [name for name in left if not {*_moving(zones, zones[name])} & {*left}]
+        rest = [name for name in zones if name not in order]
+        free = [name for name in rest if not {*_moving(zones, zones[name])} & {*rest}]
         if not free:
             raise ValueError(
-                f'the datums of the zones "{left[0]}" and others go round in a circle; one of them '
+                f'the datums of the zones "{rest[0]}" and others go round in a circle; one of them '
                 "must be measured from a marker that no zone moves, or from the body."
             )
         order += free
@@ -238,7 +238,7 @@ def _moving(zones: dict[str, AbstractZone], zone: AbstractZone) -> list[str]:
     if zone.datum is None:
         return []
     datum = zones[zone.datum].marker if zone.datum in zones else zone.datum
-    return [name for name, own in zones.items() if own.marker == datum]
+    return [name for name, zone in zones.items() if zone.marker == datum]
 
 
 def _zone_line(

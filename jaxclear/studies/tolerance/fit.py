@@ -248,14 +248,14 @@ class FitSizes(AbstractMechanismVariable):
         return "m"
 
     def put(self, name, subject, value):
-        where = lambda own: own.connections[self.joint].joint
+        where = lambda tree: tree.connections[self.joint].joint
         return eqx.tree_at(where, subject, where(subject).with_diameters(*value))
 
     def leaves(self, mechanism):
         joint = mechanism.connections[self.joint].joint
         other = joint.with_diameters(*joint.diameters())
         pairs = zip(*map(jax.tree.leaves, (joint, other)), strict=True)
-        return [own for own, new in pairs if own is not new]
+        return [old for old, new in pairs if old is not new]
 
     def check(self, name, mechanism):
         check_name("joint", self.joint, mechanism.topology.clearances, " with clearance")

@@ -54,8 +54,8 @@ class AbstractZone(AbstractTolerance):
                 f"the marker of a zone is {described(self.marker)}; write a joint and its side, "
                 'such as "A.parent" or "A.child".'
             )
-        given = [name for name in (self.at_mmc, self.at_lmc) if name is not None]
-        if len(given) > 1 or (given and isinstance(self.size, tuple)):
+        names = [name for name in (self.at_mmc, self.at_lmc) if name is not None]
+        if len(names) > 1 or (names and isinstance(self.size, tuple)):
             raise ValueError(
                 "a zone is given at_mmc and at_lmc, or one of them beside two widths; it has one "
                 "of the two, and one size that grows."
@@ -92,10 +92,10 @@ class AbstractZone(AbstractTolerance):
             marker: the `Marker`.
         """
 
-    def _said(self, symbol: str) -> str:
+    def _symbol_text(self, symbol: str) -> str:
         sizes = self.size if isinstance(self.size, tuple) else (self.size,)
         symbol = f"{type(self).__name__.lower()} {symbol}"
-        text = f"{symbol}{' x '.join(f'{float(own) / MILLI:g}' for own in sizes)}"
+        text = f"{symbol}{' x '.join(f'{float(size) / MILLI:g}' for size in sizes)}"
         text += f" at MMC of {self.at_mmc}" if self.at_mmc else ""
         text += f" at LMC of {self.at_lmc}" if self.at_lmc else ""
         return f"{text} to {self.datum}" if self.datum else text
@@ -119,7 +119,7 @@ class AbstractPlaceZone(AbstractZone):
 
     @property
     def specification(self):
-        return self._said("S⌀" if self.spherical else "" if self.width else "⌀")
+        return self._symbol_text("S⌀" if self.spherical else "" if self.width else "⌀")
 
     def __check_init__(self):
         self.check_lines()
@@ -142,7 +142,7 @@ class AbstractPlaceZone(AbstractZone):
 
     def law(self, plane):
         if self.width is not None:
-            laws = [Uniform(0.5 * own) for own in self.width]
+            laws = [Uniform(0.5 * width) for width in self.width]
             return laws[0] if len(laws) == 1 else Independent(ACROSS, laws)
         ball = Ball(0.5 * self.diameter, 3 if self.spherical else 2)
         if self.length is None:
@@ -174,7 +174,7 @@ class AbstractPlaceZone(AbstractZone):
         away = sp.apply(marker.pose().rotation, tuple(shift))
         at = marker.at if len(marker.at) == 2 and plane else (*marker.at, 0.0)[:3]
         place = tuple(jnp.asarray(old + new) for old, new in zip(at, away, strict=False))
-        return eqx.tree_at(lambda own: own.at, marker, place)
+        return eqx.tree_at(lambda tree: tree.at, marker, place)
 
 
 class Position(AbstractPlaceZone):
@@ -254,7 +254,7 @@ class AbstractLean(AbstractZone):
 
     @property
     def specification(self):
-        return f"{self._said('' if self.along else '⌀')} over {float(self.over) / MILLI:g}"
+        return f"{self._symbol_text('' if self.along else '⌀')} over {float(self.over) / MILLI:g}"
 
     def law(self, plane):
         angle = self.width / self.over
@@ -266,9 +266,9 @@ class AbstractLean(AbstractZone):
 
     def moved(self, marker, value, plane):
         if plane:
-            return eqx.tree_at(lambda own: own.angle, marker, marker.angle + value)
+            return eqx.tree_at(lambda tree: tree.angle, marker, marker.angle + value)
         lean = (
-            list(value) if self.along is None else [value * (self.along == own) for own in ACROSS]
+            list(value) if self.along is None else [value * (self.along == axis) for axis in ACROSS]
         )
         return leaned(marker, *lean)
 
@@ -372,8 +372,8 @@ def leaned(marker: Marker, x: Any, y: Any) -> Marker:
     w, a, b, c = marker.quaternion or (1.0, 0.0, 0.0, 0.0)
     # Times (1, -y/2, x/2, 0): a turn about the axis across the lean, to third order.
     p, q = -0.5 * y, 0.5 * x
-    turned = (w - a * p - b * q, a + w * p - c * q, b + w * q + c * p, c + a * q - b * p)
-    return eqx.tree_at(lambda own: own.quaternion, marker, tuple(map(jnp.asarray, turned)))
+    rotated = (w - a * p - b * q, a + w * p - c * q, b + w * q + c * p, c + a * q - b * p)
+    return eqx.tree_at(lambda tree: tree.quaternion, marker, tuple(map(jnp.asarray, rotated)))
 
 
 def with_numbers(marker: Marker, zone: AbstractZone, plane: bool) -> Marker:
@@ -396,6 +396,6 @@ def with_numbers(marker: Marker, zone: AbstractZone, plane: bool) -> Marker:
     if zone.unit == "rad" and plane and marker.angle is None:
         turn["angle"] = 0.0
     if not plane and (zone.unit == "rad" or getattr(zone, "length", None) is not None):
-        rotation = np.array([[float(own) for own in row] for row in marker.pose().rotation])
+        rotation = np.array([[float(value) for value in row] for row in marker.pose().rotation])
         turn, axis = {"quaternion": tuple(quaternion_from_rotation(jnp.asarray(rotation)))}, None
     return Marker(marker.body, at, "z" if turn["quaternion"] is not None else axis, **turn)
