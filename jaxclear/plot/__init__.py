@@ -10,6 +10,7 @@ from jaxclear.plot.identification import identification as identification
 from jaxclear.plot.identification import remaining_life as remaining_life
 from jaxclear.plot.life import design as design
 from jaxclear.plot.life import design_front as design_front
+from jaxclear.plot.life import largest as largest
 from jaxclear.plot.life import settled as settled
 from jaxclear.plot.life import wear_life as wear_life
 from jaxclear.plot.life import wear_lives as wear_lives

@@ -89,7 +89,7 @@ def _warned_samples(study: MonteCarlo) -> list[str]:
             factor, unit = readable(values[np.isfinite(values)], row["unit"])
             means = (
                 f"the mean is {factor * row['mean']:.4g} with them, "
-                f"{factor * row['mean without warned']:.4g} without [{unit}]."
+                f"{factor * row['mean, samples without warnings']:.4g} without [{unit}]."
             )
             if row.get("infinite"):
                 means = f"there is no mean, infinite in {row['infinite']} samples."

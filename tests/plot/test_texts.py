@@ -264,7 +264,7 @@ def advised():
 
 
 SUNK = jc.limit_state.Above(FORCE, 1.23e6)
-VERDICT = "Agreed by pathwise and regression with a surface; not by differences. "
+VERDICT = "From pathwise, confirmed by regression with a surface. Not confirmed by differences. "
 
 
 def drawn():
@@ -286,6 +286,16 @@ CASES = {
         lambda: plot.corrected(jc.corrected(jc.surface(problem()), 8, limits={"sunk": SUNK}))
     ],
     "design": [lambda: plot.design(designed())],
+    "largest": [
+        lambda: plot.largest(
+            jc.largest(
+                problem(),
+                problem().names[0],
+                jc.limit.Quantile(problem().response_names[0], at_most=1e6, share=0.95),
+                (1e-4, 3e-4),
+            )
+        )
+    ],
     "design_front": [lambda: plot.design_front([designed(), designed(2.0)])],
     "displacement": [
         lambda: plot.displacement(

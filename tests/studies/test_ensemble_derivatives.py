@@ -100,9 +100,9 @@ def test_what_jumps_is_differentiated_through_the_ends_of_its_distribution():
     step = 0.02
     up, down = means(1.0 + step, 0.3, 0.3), means(1.0 - step, 0.3, 0.3)
     wide, narrow = means(1.0, 0.3, 0.3 + step), means(1.0, 0.3, 0.3 - step)
-    found = jc.sensitivity(
-        KINKED, ["x", "half width of x"], methods=("regression", "differences", "pathwise")
-    )
+    # Of 1024 runs regression is too wide to confirm the differences: "The methods disagree."
+    methods = ("regression", "differences", "pathwise")
+    found = jc.sensitivity(KINKED, ["x", "half width of x"], methods=methods, sample=4096)
     for name in ("kink", "steps"):
         for label, high, low in (("x", up, down), ("half width of x", wide, narrow)):
             exact = (high[name] - low[name]) / (2 * step)
@@ -277,7 +277,7 @@ def test_agreement_that_says_little_is_told():
     }
     found = confirmed("r", "v", estimates)
     assert found.trustworthy and found.value == pytest.approx(1.0)
-    told = f"Agreed by regression and differences within ±{estimates['differences'].error:.2g}."
+    told = f"That by differences (±{estimates['differences'].error:.2g}) is consistent but too"
     assert told in found.verdict and estimates["differences"].error > 1.0
 
 
@@ -322,7 +322,7 @@ def test_methods_agree_on_a_derivative_of_zero(name):
     flat = jc.FunctionProblem(ZERO[name], both)
     of = ("mean", "standard deviation", ("quantile", 0.9))
     for found in jc.sensitivity(flat, "y", of=of, seed=100).derivatives.values():
-        assert found.trustworthy and "Agreed by" in found.verdict, found
+        assert found.trustworthy and "confirmed by" in found.verdict, found
         assert abs(found.value) <= 2 * found.error, found
 
 

@@ -105,7 +105,7 @@ def test_wear_that_hangs_on_the_saving_times_is_told(lived):
     mine, waved = (each.stages[0].settled.wear["B"]["bearing"] for each in (life, other))
     off = np.sqrt(np.mean((waved - mine) ** 2)) / np.mean(mine)
     assert 0.02 < off < 0.05 and told[0] == pytest.approx(off, rel=0.05)
-    assert "at a fourth of these a cycle would spread wear otherwise" in life.sentence()
+    assert "a fourth of these would spread wear otherwise" in life.sentence()
     ends = [np.asarray(each.worn()["B"]["bearing"]) for each in (life, other)]
     assert np.sqrt(np.mean((ends[1] - ends[0]) ** 2)) < told.max() * np.mean(ends[0])
     volumes = [each.over_life("volume")[-1] for each in (life, other)]
@@ -328,7 +328,8 @@ def test_a_life_is_a_response_as_any_other(tmp_path, monkeypatch):
     hardness, load = found.values.T
     way = 2 * np.pi * (RADIUS + 0.5 * load / STIFFNESS)
     wanted = 1e-5 * 2 * np.pi * RADIUS * LENGTH * hardness / (1e-5 * load * way)
-    np.testing.assert_allclose(found.responses["life"], wanted, rtol=1e-4)
+    # Between nodes losses are put on in fewer parts, and cells are less even.
+    np.testing.assert_allclose(found.responses["life"], wanted, rtol=2e-4)
     assert np.all(found.responses["sure"] < found.responses["life"])
     assert found.problem.units()["life"] == "cycles" and np.ptp(wanted) > 0.01 * wanted[0]
 
@@ -336,7 +337,7 @@ def test_a_life_is_a_response_as_any_other(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("asked", "sentence"),
     [
-        (lambda: jc.wear_life(jc.scenes.slider_crank(), period=0.1), "nothing wears"),
+        (lambda: jc.wear_life(jc.scenes.slider_crank(), period=0.1, cycles=9), "nothing wears"),
         (lambda: jc.wear_life(problem(wearing_ring()), cycles=-1), "cycles of wear_life is -1"),
         (lambda: jc.wear_life(problem(wearing_ring()), cycles=1e300), r"at most 9\.0072e\+15"),
         (lambda: jc.wear_lives(problem(wearing_ring()), cycles=1e300), r"at most 9\.0072e\+15"),
@@ -355,6 +356,7 @@ def test_a_life_is_a_response_as_any_other(tmp_path, monkeypatch):
                     jnp.asarray(50.0),
                 ),
                 period=TURN,
+                cycles=9,
             ),
             "acceleration=50; wear_life carries wear on by itself",
         ),
