@@ -228,7 +228,7 @@ class ImplicitStep(AbstractIntegrator):
             last, peaks, watch = carried
             time = interval.start + index * h
             end, last, peaks = step((time, h), state, last, peaks)
-            return end, (last, peaks, watched(watch, model, time, h, end))
+            return end, (last, peaks, watched(watch, model, time, h, state, end))
 
         separate = None if separate is None else so_far(separate)
         carried = (last, separate), highest, watch_from(model, interval.start, state)
@@ -241,7 +241,7 @@ class ImplicitStep(AbstractIntegrator):
             highest = among(_of_joints(model, interval.peaks), highest)
         end = self._sped_up(model, end, last[0], h)
         end, highest, watch = self._trusted(model, end, highest, watch, last)
-        return arrived(end, steps, last, _with_flanks(model, highest), watch)
+        return arrived(end, steps, last, highest, watch)
 
 
 def _worn_deeper(model: Model, time: Any, state: State, last: Array) -> Array:
@@ -271,11 +271,3 @@ def _of_joints(model: Model, peaks: Peaks | None) -> Peaks | None:
     if peaks is None or not model.layout.plays:
         return peaks
     return jax.tree.map(lambda each: each[: model.layout.joint_contacts], peaks)
-
-
-def _with_flanks(model: Model, peaks: Peaks | None) -> Peaks | None:
-    """The peaks with zeros for the flanks of play."""
-    if peaks is None or not model.layout.plays:
-        return peaks
-    none = jnp.zeros(2 * len(model.layout.plays))
-    return jax.tree.map(lambda each: jnp.concatenate([each, none]), peaks)

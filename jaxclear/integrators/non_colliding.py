@@ -97,4 +97,4 @@ class NonColliding(AbstractIntegrator):
             end, last = self.formulation.step(model, time_step, state, last, settings)
             return closed(model, time_step.end, end, time_step.length), last
 
-        return searching_steps(interval, self.step, step, (state, warm_start), LOOSE)
+        return searching_steps(model, interval, self.step, step, (state, warm_start), LOOSE)
