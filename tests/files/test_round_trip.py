@@ -64,6 +64,7 @@ TOGETHER = {
     "outer_speed": 0.75,
     "stribeck_speed": 1.5,
     "roundness": None,
+    "film": None,
     "poisson_ratio": 0.375,
     "bound": 2.0,
     "method": "heun",
@@ -344,6 +345,12 @@ FURTHER = {
     # Its markers lie on the beam in the file, on pieces of it in the mechanism.
     "slider-crank with a beam": lambda: jc.scenes.slider_crank().with_body(
         "rod", jc.Beam(0.12, jc.section.Circle(6e-3), jc.material.steel(), 7850.0, 4, space=False)
+    ),
+    "slider-crank on a film": lambda: jc.scenes.slider_crank(
+        jc.clearance.PlanarJournalBearing(
+            jc.contact.Hertz(),
+            film=jc.film.Reynolds(viscosity=jc.film.Vogel(6e-5, 1030.0, 153.6, 313.0)),
+        )
     ),
     "with numbers changed": lambda: eqx.tree_at(
         lambda m: m.bodies["rod"].mass, jc.scenes.slider_crank(), jnp.asarray(1 / 3)
