@@ -225,7 +225,7 @@ def test_a_share_is_told_beside_lives_that_are_smaller_and_no_infinite_error_is_
     found[0, 3, 0] = np.inf
     verifier = Verifier(question_of(lasting, share, share), None, None, False)
     nothing = np.zeros((64, 1)), np.ones(64, bool), np.zeros(64, np.int64)
-    assert verifier._told(found, *nothing).errors.tolist() == [np.inf, 0.0]
+    assert verifier._make_check(found, *nothing).errors.tolist() == [np.inf, 0.0]
 
 
 class Median(jc.limit.Quantile):
