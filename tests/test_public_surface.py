@@ -113,6 +113,7 @@ INNER = {
     "AbstractLean",
     "AbstractLikeIdeal",
     "AbstractPlaceZone",
+    "AbstractRound",
     "AbstractSurface",
     "AbstractThreshold",
     "AreaMap",

@@ -1,7 +1,13 @@
 """What a user waits for before the first result: the first run of every scene in a new process, on
 the integrator that `simulate` takes by default, or on MoreauJean where the scene's friction is
-set-valued; of the four-bar on every rung; and on MoreauJean with wear. With nothing kept by an
-earlier process, and with what one has kept.
+set-valued; of the four-bar on every rung; on MoreauJean with wear; and of mechanisms of several
+spatial loops, with the reactions and the memory. With nothing kept by an earlier process, and with
+what one has kept.
+
+    python -m benchmarks.claims.compile_time [--quick] [--only loops] [--models FILE ...]
+        [--json FILE]
+
+`--models` reads robots from files of MJCF, which are measured as mechanisms of several loops.
 
 CPU seconds, with Python's compiled modules kept as an installation has them, and the import beside
 that of JAX. A first run is all from the scene's function to the first trajectory, so what the run
@@ -17,7 +23,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from benchmarks.measure import about, arguments, report
+from benchmarks.measure import about, arguments, report, sign
 
 PROGRAM = """
 import time
@@ -32,6 +38,36 @@ for _ in range(2):
     spent.append(time.process_time())
 print(*(b - a for a, b in zip(spent, spent[1:])))
 """
+# A process prints CPU seconds, and last its largest resident memory [MB].
+SPATIAL = """
+import time
+import warnings
+from pathlib import Path
+spent = [time.process_time()]
+import jaxclear as jc
+from tests.rigs.spatial_loops import double_cardan, hinge_loops
+warnings.simplefilter("ignore")
+spent.append(time.process_time())
+rig = {rig}
+jc.assemble(rig)
+spent.append(time.process_time())
+run = jc.simulate(rig, 1e-3, save=3)
+spent.append(time.process_time())
+assert run.succeeded, run.result
+run.reaction(list(rig.connections)[-1])
+spent.append(time.process_time())
+memory = float(Path("/proc/self/status").read_text().split("VmHWM:")[1].split()[0]) / 1024
+print(*(b - a for a, b in zip(spent, spent[1:])), memory)
+"""
+# Joints of each: five hinges and a ball joint a loop; two Cardan joints a branch.
+LOOPS = {
+    "ten hinges, two loops": "hinge_loops(2, dict(g=jc.load.Gravity()))",
+    "two Cardan branches": "double_cardan(2)",
+    "three Cardan branches": "double_cardan(3)",
+    "four Cardan branches": "double_cardan(4)",
+}
+# CPU seconds and MB that are asked for.
+OF_LOOPS, MEMORY = 30.0, 3000.0
 SET_VALUED = ("antenna()", "guide()")
 # Scenes, with a duration [s] of which a run takes a second or less.
 SCENES = {
@@ -106,8 +142,39 @@ def row_of(scene: str, span: float, integrator: str, limit: float) -> dict[str, 
     }
 
 
+def loop_rows(rigs: dict[str, str]) -> list[dict[str, Any]]:
+    """Mechanisms of several spatial loops, from nothing to the first steps and a reaction."""
+    rows = []
+    for name, rig in rigs.items():
+        own_import, assembly, run, reaction, memory = told(SPATIAL.format(rig=rig))
+        rows.append(
+            {
+                "mechanism": name,
+                "import [s]": own_import,
+                "assembly [s]": assembly,
+                "first steps [s]": run,
+                "first reaction [s]": reaction,
+                "memory [MB]": memory,
+                "asked for [s]": OF_LOOPS,
+                "met": "yes" if assembly + run <= OF_LOOPS and memory <= MEMORY else "no",
+            }
+        )
+    return rows
+
+
 def main() -> None:
-    options = arguments(__doc__)
+    options = arguments(
+        __doc__,
+        only={"choices": ("loops",), "help": "only mechanisms of several spatial loops"},
+        models={"nargs": "*", "default": [], "help": "robots in files of MJCF"},
+    )
+    robots = {Path(path).stem: f"jc.read_mjcf({path!r})" for path in options.models}
+    rigs = dict(list(LOOPS.items())[:: 3 if options.quick else 1]) | robots
+    loops = "First steps of mechanisms of several spatial loops in a new process, CPU time"
+    report(loops, loop_rows(rigs), options)
+    if options.only == "loops":
+        sign("benchmarks.claims.compile_time", options.json, (loops,))
+        return
     report("Import in a new process, CPU time", [imports()], options)
     every = 3 if options.quick else 1
     scenes = list(SCENES.items())[::every]

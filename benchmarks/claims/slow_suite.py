@@ -2,7 +2,8 @@
 
 `python -m benchmarks.claims.slow_suite --paths tests/laws tests/mesh --json
 benchmarks/results/slow_suite.json` runs these and renews their rows; a file is written as soon as
-it is through, so a run may be ended at any time.
+it is through, so a run may be ended at any time. `--most 2` runs two tests at most of each
+parametrised function, evenly spread over its parameters; "of" is how many slow tests a file has.
 """
 
 import json
@@ -23,6 +24,24 @@ class Durations:
         self.tests: dict[str, dict[str, float]] = {}
         self.failed: dict[str, list[str]] = {}
         self.skipped: dict[str, int] = {}
+        self.slow_tests: dict[str, int] = {}
+
+    @pytest.hookimpl(trylast=True)
+    def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
+        functions: dict[str, list[pytest.Item]] = {}
+        for item in items:
+            if item.get_closest_marker("slow") is not None:
+                file = item.nodeid.partition("::")[0]
+                self.slow_tests[file] = self.slow_tests.get(file, 0) + 1
+                functions.setdefault(item.nodeid.partition("[")[0], []).append(item)
+        if self.options.most is not None:
+            chosen = {item for group in functions.values() for item in self.spread(group)}
+            items[:] = [item for item in items if item in chosen]
+
+    def spread(self, group: list[pytest.Item]) -> list[pytest.Item]:
+        """As many of a group as are asked for, evenly spread."""
+        count = min(self.options.most, len(group))
+        return [group[round(k * (len(group) - 1) / max(count - 1, 1))] for k in range(count)]
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_protocol(self, item: pytest.Item, nextitem: pytest.Item | None) -> Any:
@@ -47,6 +66,7 @@ class Durations:
         row = {
             "file": Path(file).name,
             "tests": len(spent),
+            "of": self.slow_tests[file],
             "failed": len(self.failed.get(file, [])),
             "skipped": self.skipped.get(file, 0),
             "CPU [s]": round(sum(spent.values()), 1),
@@ -65,6 +85,7 @@ def main() -> None:
     options = arguments(
         __doc__ or "",
         paths={"nargs": "+", "default": ["tests"], "help": "files and folders of tests"},
+        most={"type": int, "help": "so many tests at most of a parametrised function"},
     )
     paths = options.paths[:1] if options.quick else options.paths
     with_options = ["-m", "slow", "-q", "-p", "no:cacheprovider", *map(str, map(Path, paths))]

@@ -24,7 +24,9 @@ from benchmarks.measure import arguments, report, side_by_side, sign
 from jaxclear.commands.design import TURN, WEAR_SAVES
 from jaxclear.components.sphere_map import SphereMap
 from jaxclear.components.wall_map import WallMap
-from jaxclear.components.wear_map import AbstractSurface, AbstractWearMap, CylinderMap
+from jaxclear.components.cylinder_map import CylinderMap
+from jaxclear.components.surface import AbstractSurface
+from jaxclear.components.wear_map import AbstractWearMap
 from jaxclear.errors.estimates import factor_of_cells
 from jaxclear.integrators.checks import Check
 from jaxclear.native import scan
@@ -277,12 +279,16 @@ def by_saves(counts: tuple[int, ...]) -> list[dict[str, Any]]:
 def surface(kind: str, around: int, coarseness: float) -> AbstractSurface:
     """A surface of so many cells around, of which so many side by side are one."""
     return {
-        "journal": lambda: CylinderMap((around, 1), RADIUS, LENGTH, CLEARANCE, coarseness),
-        "journal, tilted": lambda: CylinderMap(
-            (around, around // 3), RADIUS, LENGTH, CLEARANCE, coarseness
+        "journal": lambda: CylinderMap(
+            (around, 1), RADIUS, LENGTH, CLEARANCE, coarseness=coarseness
         ),
-        "ball": lambda: SphereMap((around, around // 2), RADIUS, CLEARANCE, coarseness),
-        "guide": lambda: WallMap((2, around), 0.12, 0.0, 0.04, 0.01, CLEARANCE, 0.01, coarseness),
+        "journal, tilted": lambda: CylinderMap(
+            (around, around // 3), RADIUS, LENGTH, CLEARANCE, coarseness=coarseness
+        ),
+        "ball": lambda: SphereMap((around, around // 2), RADIUS, CLEARANCE, coarseness=coarseness),
+        "guide": lambda: WallMap(
+            (2, around), 0.12, 0.0, 0.04, 0.01, CLEARANCE, 0.01, coarseness=coarseness
+        ),
     }[kind]()
 
 

@@ -1,37 +1,31 @@
-"""Where a ball wears its socket: depth in azimuth and elevation, which cells a loss may overlap,
-how wide and deep it is there. Cells share a loss as in `contact_patch`, all over the sphere alike,
-poles included; quadratic B-splines read the map between their centres.
+"""Where a ball wears its socket: depth in azimuth and elevation, and how a ball that goes through
+an arc while it wears overlaps the cells, all over the sphere alike, poles included. Quadratic
+B-splines read the map between their centres.
 """
 
 import functools
 import math
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
-from jaxclear.components.contact_patch import (
+from jaxclear.components.surface import (
     SHARPEST,
-    Elasticity,
+    AbstractRound,
+    Contact,
     Outline,
     Patch,
     Touched,
-    angle_touched,
     arc,
     arc_with_cell,
-    block_centre,
-    contact_square,
-    depth_of,
+    block_row,
     entry,
-    point_contact,
-    point_depth,
-    square_width,
+    half_steps,
     table_rows,
 )
-from jaxclear.components.wear_map import AbstractSurface, half_steps
 from jaxclear.ground.numerics import OFF_THE_TIES, arc_sine, direction_angle, safe_divide, safe_sqrt
 from jaxclear.ground.quantity import Scalar, quantity
 
@@ -77,95 +71,15 @@ class Swept(NamedTuple):
         return overlap * filled, share * covered
 
 
-class PointContact(NamedTuple):
-    """A ball that takes a volume [m3] off the wall of a `surface`. It comes closest towards a
-    direction (`normal`) of length 1 (not `directed`: 0), and goes through an arc of half that angle
-    [rad] about it in the direction of its `travel`, of length 1 or less where cells do not resolve
-    the arc; its `load` before anything is lost, and how deep it would sink into an unworn wall
-    (`sunk`) [m]."""
+class Point(NamedTuple):
+    """Where a ball touches. It comes closest towards a direction (`normal`) of length 1 (not
+    `directed`: 0), and goes through an arc of half that angle [rad] about it in the direction of
+    its `travel`, of length 1 or less where cells do not resolve the arc."""
 
-    surface: "SphereMap"
-    volume: Scalar
-    normal: Float[Array, "3"]
+    normal: tuple[Scalar, ...]
     directed: Array
     travel: Float[Array, "3"]
     half_arc: Scalar
-    load: Elasticity
-    sunk: Scalar
-
-    @property
-    def middle(self) -> Scalar:
-        """The column of its mean direction, in units of columns."""
-        return self.surface.position(*self.normal)[0]
-
-    def in_columns(self, column: Int[Array, "*columns"]) -> tuple[Array, Array]:
-        """Cosine and sine of the azimuth."""
-        centre = (2.0 * block_centre(column, self.surface.coarseness)).astype(int)
-        azimuth = table_rows(half_steps(self.surface.cells[0]), centre)
-        return azimuth[..., 0], azimuth[..., 1]
-
-    def patch(self, columns: tuple[Array, Array], row: Array, depth: Array) -> Patch:
-        centre = (2.0 * block_centre(row, self.surface.coarse_along)).astype(int)
-        elevation = table_rows(self.surface.elevations(), centre)
-        level, z = elevation[..., 0], elevation[..., 1]
-        x, y = columns[0] * level, columns[1] * level
-        ahead, sideways = (x * a + y * b + z * c for a, b, c in (self.normal, self.travel))
-        across = safe_sqrt(ahead * ahead + sideways * sideways)
-        # A cell's sides, along the mean normal and along the travel.
-        wide, high = self.surface.sides
-        level = safe_sqrt(x * x + y * y)
-        pairs = (self.normal, ahead), (self.travel, sideways)
-        around = [wide * (x * step[1] - y * step[0]) for step, _ in pairs]
-        along = [high * safe_divide(step[2] - z * share, level) for step, share in pairs]
-
-        def extent(a, b):
-            """Of a cell, along a part of the one and one of the other, as two spreads add up."""
-            first, second = (a * side[0] + b * side[1] for side in (around, along))
-            return safe_sqrt(first * first + second * second)
-
-        a, b = safe_divide(ahead, across), safe_divide(sideways, across)
-        # Without a direction all are as near.
-        cosine = jnp.where(self.directed, across, 1.0)
-        away = jnp.where(self.directed, direction_angle(ahead, jnp.abs(sideways)), 0.0)
-        clearance = self.surface.clearance
-        space = clearance + depth
-        nearest = Outline(cosine, space, clearance * (0.5 * extent(a, b) + SHARPEST))
-        long = extent(-b, a) + SHARPEST
-        half = arc_with_cell(self.half_arc, long)
-        outline = Swept(nearest, away, self.half_arc, long)
-        return Patch(outline, nearest, away, half, space, 1.0, self.load.root)
-
-    def start(self, depth: Float[Array, "around along"]) -> Scalar:
-        # In the middle of its arc.
-        around, along = self.surface.cells
-        # Between two cells either rounding must choose the same.
-        off = OFF_THE_TIES - 0.5
-        place = self.surface.position(*self.normal)
-        column, row = (jnp.floor(each + off).astype(int) for each in place)
-        there = entry(depth, (column % around, jnp.clip(row, 0, along - 1)))
-        return self.surface.clearance + there + self.sunk
-
-    def touched(self, level: Scalar) -> Touched:
-        # Those of a cap about its mean direction.
-        surface, (around, along) = self.surface, self.surface.cells
-        # A cell that lies aslant of the travel is touched from as far as its diagonal.
-        diagonal = math.sqrt(2.0) * functools.reduce(jnp.maximum, surface.sides)
-        reach = self.half_arc + angle_touched(level, diagonal, surface.clearance)
-        column, row = surface.position(*self.normal)
-        level = safe_sqrt(1.0 - self.normal[2] * self.normal[2])
-        # A cap that holds a pole lies on all columns.
-        across = jnp.sin(jnp.minimum(reach, 0.5 * jnp.pi))
-        all_around = (across >= level) | ~self.directed
-        wide = arc_sine(jnp.where(all_around, 1.0, safe_divide(across, level)))
-        wider = 0.5 * (surface.coarseness - 1.0)
-        wide, high = wide * (around / (2 * jnp.pi)) + wider, reach * (along / jnp.pi) + wider
-        first = -jnp.floor(wide - column)
-        columns = jnp.where(all_around, around, jnp.floor(column + wide) - first + 1.0)
-        lower = jnp.where(self.directed, jnp.maximum(-jnp.floor(high - row), 0.0), 0.0)
-        upper = jnp.where(
-            self.directed, jnp.minimum(jnp.floor(row + high), along - 1.0), along - 1.0
-        )
-        return Touched.of(first, jnp.minimum(columns, around), lower, upper - lower + 1.0)
 
 
 def _travel(
@@ -236,7 +150,7 @@ def stencil(
     return columns[..., :, None], rows[..., None, :], weights
 
 
-class SphereMap(AbstractSurface):
+class SphereMap(AbstractRound):
     """Wall of a socket: azimuth from x towards y in [0, 2 pi), elevation from -pi/2 to pi/2.
 
     Location features: direction (x, y, z), its products (xx, xy, xz, yy, yz), which tell the arc
@@ -244,14 +158,10 @@ class SphereMap(AbstractSurface):
     [1/rad2].
     """
 
-    cells: tuple[int, int] = eqx.field(static=True)
+    axes: ClassVar = 3
+    extent: ClassVar = math.pi
     radius: Scalar = quantity(unit="m", meaning="radius of the socket", above=0)
     clearance: Scalar = quantity(unit="m", meaning="radial clearance in it", above=0)
-    coarseness: Scalar = quantity(1.0, "1", "cells that are one, side by side", at_least=1)
-
-    @property
-    def thickness(self):
-        return self.radius
 
     @property
     def sides(self) -> tuple[Scalar, Scalar]:
@@ -260,9 +170,8 @@ class SphereMap(AbstractSurface):
         return 2 * math.pi / around * self.coarseness, math.pi / along * self.coarse_along
 
     @property
-    def cell(self) -> Scalar:
-        """The shorter side of a cell at the equator [rad]: a groove of that width is resolved where
-        it runs along the longer one."""
+    def cell(self):
+        """A groove of that width is resolved where it runs along the longer side."""
         return functools.reduce(jnp.minimum, self.sides)
 
     def elevations(self) -> Float[np.ndarray, "steps 2"]:
@@ -277,16 +186,9 @@ class SphereMap(AbstractSurface):
         table = bands[:, None] * (2 * np.pi / around)
         return table_rows(table, row)[..., 0] * self.radius * self.radius
 
-    def path(self, features):
-        return 2.0 * arc(safe_sqrt(jnp.sum(features[:3] ** 2))) / self.cell
-
     def cells_per_contact(self, features, depth):
-        square = contact_square(1.0 / features[8], self.cell, depth, self.clearance)
+        square = self.square_in_scar(1.0 / features[8], depth)
         return (self.cell / jnp.sqrt(square),) * 2
-
-    def angles(self) -> Float[Array, " around"]:
-        """Azimuth of the centre of each cell [rad]."""
-        return (jnp.arange(self.cells[0]) + 0.5) * (2 * jnp.pi / self.cells[0])
 
     def directions(self) -> Float[Array, "around along 3"]:
         """Direction of the centre of each cell."""
@@ -297,29 +199,88 @@ class SphereMap(AbstractSurface):
     def narrowness(self, indentation: Scalar) -> Scalar:
         """One over the square of half the width [1/rad2] of a contact of some indentation [m]. Its
         mean over a loss tells how deep that is in the contact's middle."""
-        return 1.0 / square_width(indentation, self.cell, self.clearance)
+        return 1.0 / self.square_width(indentation)
 
-    def position(self, x: Array, y: Array, z: Array) -> tuple[Array, Array]:
+    def position(self, x: Any, y: Any, z: Any) -> tuple[Array, Array]:
         """Where a direction (x, y, z) lies, in units of cells: azimuth, elevation."""
-        around, along = self.cells
-        azimuth = direction_angle(x, y)
-        elevation = direction_angle(safe_sqrt(x * x + y * y), z)
-        return azimuth * (around / (2 * jnp.pi)) - 0.5, (elevation / jnp.pi + 0.5) * along - 0.5
+        return self.column(x, y), self.row(direction_angle(safe_sqrt(x * x + y * y), z))
 
     def contact(self, volume, features):
-        mean, products, narrowness = features[:3], features[3:8], features[8]
-        length = safe_sqrt(jnp.sum(mean * mean))
-        normal = safe_divide(mean, length)
-        travel, share = _travel(normal, products, DROWNED * self.cell)
+        normal, length = self.mean_direction(features)
+        travel, share = _travel(jnp.stack(normal), features[3:8], DROWNED * self.cell)
         half_arc = arc(length) * safe_sqrt(share)
         square, unresolved = half_arc * half_arc, (UNRESOLVED * self.cell) ** 2
         fixed = jax.lax.stop_gradient(travel)
         resolved = square / jnp.sqrt(square * square + unresolved * unresolved)
         travel = fixed + jax.lax.stop_gradient(resolved) * (travel - fixed)
-        overlap = depth_of(safe_divide(1.0, narrowness), self.cell, self.clearance)
-        load = point_contact(overlap, self.radius, self.clearance, half_arc)
-        depth = point_depth(volume + load.overlap, self.radius, self.clearance)
-        return PointContact(self, volume, normal, length > 0, travel, half_arc, load, depth)
+        depth = self.depth_of(safe_divide(1.0, features[8]))
+        half_width = safe_sqrt(2.0 * depth / self.clearance)
+        area = self.radius * self.radius * half_width
+        overlap = area * depth * (0.5 * jnp.pi * half_width + 8 / 3 * half_arc)
+        root = 2 / 3 * jnp.pi * area * safe_sqrt(depth) * half_width
+        sunk = safe_sqrt((volume + overlap) * self.clearance / jnp.pi) / self.radius
+        place = Point(normal, length > 0, travel, half_arc)
+        return Contact(volume, overlap, root, sunk, *self.position(*normal), place)
+
+    def in_columns(self, contact, column):
+        """Cosine and sine of the azimuth."""
+        return block_row(half_steps(self.cells[0]), column, self.coarseness)
+
+    def patch(self, contact, columns, row, depth):
+        point = contact.place
+        level, z = block_row(self.elevations(), row, self.coarse_along)
+        x, y = columns[0] * level, columns[1] * level
+        ahead, sideways = (x * a + y * b + z * c for a, b, c in (point.normal, point.travel))
+        across = safe_sqrt(ahead * ahead + sideways * sideways)
+        # A cell's sides, along the mean normal and along the travel.
+        wide, high = self.sides
+        level = safe_sqrt(x * x + y * y)
+        pairs = (point.normal, ahead), (point.travel, sideways)
+        around = [wide * (x * step[1] - y * step[0]) for step, _ in pairs]
+        along = [high * safe_divide(step[2] - z * share, level) for step, share in pairs]
+
+        def extent(a, b):
+            """Of a cell, along a part of the one and one of the other, as two spreads add up."""
+            first, second = (a * side[0] + b * side[1] for side in (around, along))
+            return safe_sqrt(first * first + second * second)
+
+        a, b = safe_divide(ahead, across), safe_divide(sideways, across)
+        # Without a direction all are as near.
+        cosine = jnp.where(point.directed, across, 1.0)
+        away = jnp.where(point.directed, direction_angle(ahead, jnp.abs(sideways)), 0.0)
+        room = self.clearance + depth
+        nearest = Outline(cosine, room, self.clearance * (0.5 * extent(a, b) + SHARPEST))
+        long = extent(-b, a) + SHARPEST
+        outline = Swept(nearest, away, point.half_arc, long)
+        half = arc_with_cell(point.half_arc, long)
+        return Patch(outline, nearest, away, half, room, 1.0, contact.root)
+
+    def start(self, contact, depth):
+        # In the middle of its arc. Between two cells either rounding must choose the same.
+        around, along = self.cells
+        place, off = (contact.column, contact.row), OFF_THE_TIES - 0.5
+        column, row = (jnp.floor(each + off).astype(int) for each in place)
+        there = entry(depth, (column % around, jnp.clip(row, 0, along - 1)))
+        return self.clearance + there + contact.sunk
+
+    def touched(self, contact, level):
+        # Those of a cap about its mean direction.
+        point, (around, along) = contact.place, self.cells
+        # A cell that lies aslant of the travel is touched from as far as its diagonal.
+        diagonal = math.sqrt(2.0) * functools.reduce(jnp.maximum, self.sides)
+        reach = point.half_arc + self.angle_touched(level, diagonal)
+        level = safe_sqrt(1.0 - point.normal[2] * point.normal[2])
+        # A cap that holds a pole lies on all columns.
+        across = jnp.sin(jnp.minimum(reach, 0.5 * jnp.pi))
+        all_around = (across >= level) | ~point.directed
+        wide = arc_sine(jnp.where(all_around, 1.0, safe_divide(across, level)))
+        wider = 0.5 * (self.coarseness - 1.0)
+        wide, high = wide * (around / (2 * jnp.pi)) + wider, reach * (along / jnp.pi) + wider
+        lower = jnp.where(point.directed, jnp.maximum(-jnp.floor(high - contact.row), 0.0), 0.0)
+        last = along - 1.0
+        upper = jnp.where(point.directed, jnp.minimum(jnp.floor(contact.row + high), last), last)
+        columns = self.columns_within(contact.column, wide, all_around)
+        return Touched.of(*columns, lower, upper - lower + 1.0)
 
     def depth_towards(
         self, depth: Float[Array, "around along"], x: Scalar, y: Scalar, z: Scalar

@@ -8,25 +8,25 @@ corner tells: both together press as the face does. Source: Johnson 1985, Contac
 4.3, doi:10.1017/CBO9781139171731.
 
 A corner that moves while it wears leaves to each cell the mean of its pressures there over its way.
-The pressure is that after the loss, as in `contact_patch`.
+The pressure is that after the loss, as in `surface`.
 """
 
 from typing import NamedTuple
 
-import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
-from jaxclear.components.contact_patch import (
+from jaxclear.components.surface import (
     LEAST_SHARE,
     SHARPEST,
-    Elasticity,
+    AbstractSurface,
+    Contact,
     Outline,
     Touched,
-    block_centre,
+    edge_depth,
     entry,
+    spline,
 )
-from jaxclear.components.wear_map import AbstractSurface, mean_along, spline
 from jaxclear.ground.numerics import positive_part, safe_divide, safe_sqrt
 from jaxclear.ground.quantity import Scalar, quantity
 
@@ -73,7 +73,7 @@ class FacePatch(NamedTuple):
     """Cells of a wall, worn so deep [m], `away` so far [m] from the middle of a corner's way of
     this `half` [m], under a face of a `slope` and `length` [m]; `covered`: their share that the
     face comes to; `outline`: how it overlaps them where it comes closest; `root`: as of
-    `Elasticity`."""
+    `Contact`."""
 
     away: Array
     half: Scalar
@@ -85,12 +85,12 @@ class FacePatch(NamedTuple):
     root: Scalar
 
     def overlapped(self, level: Scalar) -> tuple[Array, Array]:
-        """As of a `contact_patch.Patch`, where the corner is at a level [m]."""
+        """As of a `surface.Patch`, where the corner is at a level [m]."""
         overlap, share = self.outline.at(level)
         return self.covered * overlap, self.covered * share
 
     def pressures(self, volume: Scalar, level: Scalar) -> Array:
-        """As of a `contact_patch.Patch`, where the corner has come to a level [m]."""
+        """As of a `surface.Patch`, where the corner has come to a level [m]."""
         overlap, _ = self.overlapped(level)
         face = Face(level - self.depth, self.slope, self.length)
         mean = face.share(self.away - self.half, self.away + self.half) / (2.0 * self.half)
@@ -98,57 +98,15 @@ class FacePatch(NamedTuple):
         return safe_divide(loss * overlap, loss + self.root * overlap)
 
 
-class FaceContact(NamedTuple):
-    """A corner at an `end` (-1 or 1) of a face that takes a volume [m3] off one wall (`side` 0 or
-    1) of a `surface`. It is at a `place` [m] from the walls' middle in the mean of its way, `half`
-    [m] to either side; `load` before anything is lost, and how deep the corner would sink into an
-    unworn wall (`sunk`) [m]; the face's `slope` towards its other corner."""
+class Corner(NamedTuple):
+    """Where a corner at an `end` (-1 or 1) of a face touches one wall: at a `place` [m] from the
+    walls' middle in the mean of its way, `half` [m] to either side; the face's `slope` towards its
+    other corner."""
 
-    surface: "WallMap"
-    volume: Scalar
-    side: Scalar
     end: Scalar
     place: Scalar
     half: Scalar
     slope: Scalar
-    load: Elasticity
-    sunk: Scalar
-
-    def in_columns(self, column: Int[Array, "*columns"]) -> Array:
-        """1 of the wall that is worn, 0 of the other."""
-        return (column == self.side).astype(float)
-
-    def patch(self, columns: Array, row: Array, depth: Array) -> FacePatch:
-        surface, half, slope = self.surface, self.half, self.slope
-        face, cell = surface.face, surface.cell
-        away = self.end * (self.place - surface.place(row))
-        covered = columns * _share((away + half) / cell) * _share((face + half - away) / cell)
-        nearest = jnp.clip(away - half, 0.0, face), jnp.clip(away + half, 0.0, face)
-        fallen = positive_part(slope) * nearest[0] - positive_part(-slope) * nearest[1]
-        rounding = 0.5 * jnp.abs(slope) * cell + SHARPEST * surface.clearance
-        outline = Outline(1.0, depth + fallen, rounding)
-        # As two spreads add up: over the way, and over the cell.
-        spread = jnp.sqrt(half * half + 0.25 * cell * cell)
-        return FacePatch(away, spread, slope, face, covered, depth, outline, self.load.root)
-
-    def start(self, depth: Float[Array, "2 along"]) -> Scalar:
-        # The cell that the corner has left behind.
-        row = self.surface.row(self.place - 0.5 * self.end * self.surface.cell)
-        here = jnp.clip(jnp.round(_number(row)), 0, self.surface.cells[1] - 1).astype(int)
-        return entry(depth, (jnp.asarray(self.side).astype(int), here)) + self.sunk
-
-    def touched(self, level: Scalar) -> Touched:
-        # All cells that the face comes to.
-        far, near = self.surface.face + self.half, self.half
-        forward = self.end > 0
-        wider = 0.5 * (self.surface.coarseness - 1.0)
-        lower = self.surface.row(self.place - jnp.where(forward, far, near)) - wider
-        upper = self.surface.row(self.place + jnp.where(forward, near, far)) + wider
-        last = self.surface.cells[1] - 1.0
-        # A cell is come to where its centre is less than half a cell away.
-        first = jnp.clip(jnp.floor(_number(lower + 0.5)), 0.0, last)
-        rows = jnp.clip(jnp.ceil(_number(upper - 0.5)), 0.0, last) - first + 1.0
-        return Touched.of(self.side, 1.0, first, rows)
 
 
 def _half_path_squared(middle: Scalar, square: Scalar) -> Scalar:
@@ -187,14 +145,20 @@ class WallMap(AbstractSurface):
     corner [m], the wall (0 or 1) and the end of the face (-1 or 1).
     """
 
-    cells: tuple[int, int] = eqx.field(static=True)
     length: Scalar = quantity(unit="m", meaning="length of the walls", above=0)
     middle: Scalar = quantity(unit="m", meaning="place of the walls' middle along the guide")
     face: Scalar = quantity(unit="m", meaning="length of the slider's faces", above=0)
     breadth: Scalar = quantity(unit="m", meaning="breadth of the faces", above=0)
     clearance: Scalar = quantity(unit="m", meaning="gap beside a centred slider", above=0)
     distance: Scalar = quantity(unit="m", meaning="distance of each wall from the middle", above=0)
-    coarseness: Scalar = quantity(1.0, "1", "cells that are one, side by side", at_least=1)
+
+    @property
+    def flat(self):
+        return True
+
+    @property
+    def extent(self):
+        return self.length
 
     @property
     def cell(self) -> Scalar:
@@ -204,10 +168,6 @@ class WallMap(AbstractSurface):
     def row_area(self, row):
         return self.breadth * (self.length / self.cells[1])
 
-    def over_three(self, depth):
-        # Either row is a wall of its own.
-        return mean_along(depth)
-
     def path(self, features):
         return 2.0 * safe_sqrt(_half_path_squared(features[0], features[1])) / self.cell
 
@@ -215,22 +175,9 @@ class WallMap(AbstractSurface):
         fallen = LEAST_CELLS * self.cell * positive_part(features[2]) / self.face
         return (safe_divide(fallen, features[3] + depth),)
 
-    def place(self, row: Array) -> Array:
-        """Where the centres of cells lie, from the middle of the walls [m]."""
-        return self.length * ((block_centre(row, self.coarse_along) + 0.5) / self.cells[1] - 0.5)
-
-    def row(self, place: Scalar) -> Scalar:
-        """A place from the middle of the walls [m] in units of cells."""
-        return (place / self.length + 0.5) * self.cells[1] - 0.5
-
     def places(self) -> Float[Array, " along"]:
         """Where the centre of each cell lies along the guide (or slider) [m]."""
-        rows = jnp.arange(self.cells[1])
-        return self.middle + self.length * ((rows + 0.5) / self.cells[1] - 0.5)
-
-    @property
-    def flat(self):
-        return True
+        return self.middle + self.heights()
 
     def within(self, place: Scalar) -> Array:
         """Whether a place along the guide [m] is on the walls."""
@@ -244,25 +191,62 @@ class WallMap(AbstractSurface):
         face = Face(jnp.maximum(indentation, least), slope, self.face)
         deepest = face.depth + positive_part(-fall)
         overlap = self.breadth * (face.overlap() + 2.0 * half * deepest)
-        load = Elasticity(face.depth, overlap, self.breadth * face.share(0.0, self.face))
-        depth = _corner_depth((volume + overlap) / self.breadth, self.face, half, slope)
-        place = middle + 0.5 * end * self.face
-        return FaceContact(self, volume, side, end, place, half, slope, load, depth)
+        root = self.breadth * face.share(0.0, self.face)
+        sunk = _corner_depth((volume + overlap) / self.breadth, self.face, half, slope)
+        corner = middle + 0.5 * end * self.face
+        # The cell that the corner has left behind.
+        row = self.row(corner - 0.5 * end * self.cell)
+        place = Corner(end, corner, half, slope)
+        return Contact(volume, overlap, root, sunk, side, row, place)
+
+    def in_columns(self, contact, column):
+        """1 of the wall that is worn, 0 of the other."""
+        return (column == contact.column).astype(float)
+
+    def patch(self, contact, columns, row, depth):
+        corner, face, cell = contact.place, self.face, self.cell
+        half, slope = corner.half, corner.slope
+        away = corner.end * (corner.place - self.height(row))
+        covered = columns * _share((away + half) / cell) * _share((face + half - away) / cell)
+        nearest = jnp.clip(away - half, 0.0, face), jnp.clip(away + half, 0.0, face)
+        fallen = positive_part(slope) * nearest[0] - positive_part(-slope) * nearest[1]
+        rounding = 0.5 * jnp.abs(slope) * cell + SHARPEST * self.clearance
+        outline = Outline(1.0, depth + fallen, rounding)
+        # As two spreads add up: over the way, and over the cell.
+        spread = jnp.sqrt(half * half + 0.25 * cell * cell)
+        return FacePatch(away, spread, slope, face, covered, depth, outline, contact.root)
+
+    def start(self, contact, depth):
+        row = jnp.clip(jnp.round(_number(contact.row)), 0, self.cells[1] - 1).astype(int)
+        return entry(depth, (jnp.asarray(contact.column).astype(int), row)) + contact.sunk
+
+    def touched(self, contact, level):
+        # All cells that the face comes to.
+        corner = contact.place
+        far, near = self.face + corner.half, corner.half
+        forward = corner.end > 0
+        wider = 0.5 * (self.coarseness - 1.0)
+        lower = self.row(corner.place - jnp.where(forward, far, near)) - wider
+        upper = self.row(corner.place + jnp.where(forward, near, far)) + wider
+        last = self.cells[1] - 1.0
+        # A cell is come to where its centre is less than half a cell away.
+        first = jnp.clip(jnp.floor(_number(lower + 0.5)), 0.0, last)
+        rows = jnp.clip(jnp.ceil(_number(upper - 0.5)), 0.0, last) - first + 1.0
+        return Touched.of(contact.column, 1.0, first, rows)
 
     def depth_at(self, depth: Array, side: int, place: Scalar) -> Scalar:
         """Worn depth [m] of a wall (0 or 1) at a place along the guide [m]."""
-        side_of_cell = self.side
         last = jnp.floor((self.cells[1] - 1) / self.coarseness)
         position = (self.row(place - self.middle) + 0.5) / self.coarseness - 0.5
         nearest = jnp.clip(jnp.round(position), 0.0, last)
-        row = nearest.astype(int) * side_of_cell
+        row = nearest.astype(int) * self.side
         before, here, right = (
-            entry(depth, (side, jnp.clip(row + k * side_of_cell, 0, self.cells[1] - 1)))
+            entry(depth, (side, jnp.clip(row + k * self.side, 0, self.cells[1] - 1)))
             for k in (-1, 0, 1)
         )
         before, right = (
-            jnp.where(nearest == 0, _beyond(here, right), before),
-            jnp.where(nearest == last, _beyond(here, before), right),
+            jnp.where(nearest == 0, 2.0 * edge_depth(here, right) - here, before),
+            jnp.where(nearest == last, 2.0 * edge_depth(here, before) - here, right),
         )
         return spline(position - nearest, before, here, right)
 
@@ -270,10 +254,4 @@ class WallMap(AbstractSurface):
         """Worn depth [m] of a wall (0 or 1) at its lower (-1) or upper (1) end."""
         last = self.cells[1] - 1
         row, inside = (0, self.side) if end < 0 else (last, last - self.side)
-        edge, further = (entry(depth, (side, jnp.clip(k, 0, last))) for k in (row, inside))
-        return 0.5 * (_beyond(edge, further) + edge)
-
-
-def _beyond(last: Array, inside: Array) -> Array:
-    """Depth [m] beyond a last cell, beside that of the one further inside."""
-    return last + positive_part(last - inside)
+        return edge_depth(*(entry(depth, (side, jnp.clip(k, 0, last))) for k in (row, inside)))

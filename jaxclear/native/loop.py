@@ -164,6 +164,10 @@ def _batch(values, dims, *, program, rank):
     # The new axis stands behind those before it: what a function asks for within itself, such as
     # runs in other steps, takes more or fewer turns, and lanes wait for each other.
     size = samples_in(values, dims)
+    if size == 1:
+        rows = [v if d is None else jnp.squeeze(v, d) for v, d in zip(values, dims, strict=True)]
+        out = loop_p.bind(*rows, program=program, rank=rank)
+        return [jnp.expand_dims(each, rank) for each in out], [rank] * len(out)
     # A long array that is the same for all samples is read where it is.
     fixed = len(values) - len(avals_of(program)[1])
     is_shared = {i for i, long in enumerate(in_memory(program)[:fixed]) if long and dims[i] is None}
@@ -257,7 +261,7 @@ def _by_portions(*values, program, rank, samples):
         portion_program = narrower._replace(shared=program.shared)
         return loop_p.bind(*arguments, program=portion_program, rank=rank)
 
-    size = side_by_side(program.narrow, samples)
+    size = side_by_side(program, samples)
     return by_portions(values, program, rank, size, run)
 
 
@@ -324,10 +328,7 @@ def _lower_as_kernel(ctx, values, program, rank, kernel, call, instead):
     if _switched_off():
         return elsewhere(reason=SWITCHED_OFF)
     samples = int(np.prod(ctx.avals_in[-1].shape[:rank]))
-    if (
-        program.narrow is not None
-        and side_by_side(program.narrow, samples) < program.narrow.tangents
-    ):
+    if program.narrow is not None and side_by_side(program, samples) < program.narrow.tangents:
         lower = mlir.lower_fun(_by_portions, multiple_results=True)
         return lower(ctx, *values, program=program, rank=rank, samples=samples)
     try:

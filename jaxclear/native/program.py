@@ -162,6 +162,25 @@ def loops_marked(program: Any, within: bool) -> Any:
     return program.replace(eqns=equations)
 
 
+def batches_loops(program: Any) -> bool:
+    """Whether loops of this room within a program are batches, which no kernel goes through."""
+    if isinstance(program, Program):
+        return batches_loops(program.body)
+    if type(program) is tuple:
+        return any(map(batches_loops, program))
+    if not isinstance(program, (Jaxpr, ClosedJaxpr)):
+        return False
+    return any(
+        any(map(batches_loops, equation.params.values()))
+        or (
+            equation.primitive.name == "jaxclear_loop"
+            # Functions of few rows are written out for one after the other.
+            and equation.params["rank"] > equation.params["program"].single_turn
+        )
+        for equation in getattr(program, "jaxpr", program).eqns
+    )
+
+
 def size_of(program: Any) -> int:
     """Equations of a program, those of programs within it included."""
     total = 0

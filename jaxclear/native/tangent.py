@@ -19,6 +19,7 @@ from jaxclear.native.program import (
     Narrow,
     Program,
     avals_of,
+    batches_loops,
     called,
     row_of,
     samples_in,
@@ -189,11 +190,14 @@ def bundled(
     return widened(narrow, count), arranged_values, axes
 
 
-def side_by_side(narrow: Narrow, samples: int) -> int:
-    """How many of the tangents a kernel takes at once, which goes through so many samples: the
+def side_by_side(wide: Program, samples: int) -> int:
+    """How many of its tangents a kernel takes at once, which goes through so many samples: the
     portions in which these lie are further samples, and least work is wanted, where a tangent is as
-    much of it as the motion. All portions are about as large."""
-    most = min(SIDE_BY_SIDE, narrow.tangents)
+    much of it as the motion. All portions are about as large. One, where a loop within has steps of
+    its own for every tangent."""
+    narrow = wide.narrow
+    assert narrow is not None
+    most = 1 if batches_loops(wide.body) else min(SIDE_BY_SIDE, narrow.tangents)
     sizes = {-(-narrow.tangents // -(-narrow.tangents // size)) for size in range(1, most + 1)}
     turns = lambda size: -(-samples * -(-narrow.tangents // size) // LANES)
     return min(sorted(sizes), key=lambda size: turns(size) * (1 + size))

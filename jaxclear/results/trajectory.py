@@ -301,7 +301,9 @@ class Trajectory(AbstractShown):
 
         The error is twice the difference from companion runs with half the step (tolerances 16
         times tighter, surfaces updated twice as often). Without companion runs (replicas) it is
-        nan, and the estimate gives the reason.
+        nan, and the estimate gives the reason. A function of a run reads the saved instants, which
+        are the same in companion runs: a largest value between them is that of a response
+        (`response.PeakTransmitted`, `PeakContactForce`), not of a maximum over the run's arrays.
 
         Args:
             response: an `AbstractResponse`, or any function of a run that returns numbers.

@@ -4,12 +4,11 @@ Worn surfaces enter the gap as they were when they were updated last: after each
 interval in which a contact has moved by half a cell of its map, or as rarely as they say
 (`Wearing.updates`). Wear is slow, the motion is fast, and a map that is constant within a part
 costs the equations of motion nothing but its reading. The whole loop is one kernel, which wears
-surfaces and writes what is saved itself. Where there are no kernels, and where steps are counted,
-XLA goes from save to save, and surfaces wear at each.
+surfaces and writes what is saved itself. Where there are no kernels XLA goes from save to save, and
+where steps are counted surfaces wear at each.
 """
 
 import dataclasses
-import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -53,6 +52,7 @@ from jaxclear.simulation.wear import (
     is_off_surface,
     longest_path,
     losses,
+    pending_losses,
     pending_wear,
     unworn,
     wear_all,
@@ -96,14 +96,12 @@ SHORTEST_PART = 1e-6
 
 class Span(NamedTuple):
     """A saving interval from `start` to `stop` [s]; `progress`: its share of the whole run. Where
-    surfaces wear: whether their wear is updated at its start (`wears`); outside a kernel in how
-    many `parts` it is gone through, between which they wear."""
+    surfaces wear: whether their wear is updated at its start (`wears`)."""
 
     start: Float[Array, " turns"]
     stop: Float[Array, " turns"]
     progress: Float[Array, " turns"]
     wears: Bool[Array, " turns"] | None = None
-    parts: Int[Array, " turns"] | None = None
 
 
 class Carry(NamedTuple):
@@ -368,15 +366,20 @@ class Turn:
 
 
 def _between_updates(
-    turn: Turn, limits: UpdateLimits, step: Any, settled: Callable, loop: Callable
+    motion: Callable,
+    system: System,
+    limits: UpdateLimits,
+    step: Any,
+    settled: Callable,
+    loop: Callable,
 ) -> Callable:
     """A part of a saving interval that is gone through from update to update of worn surfaces, by a
-    while `loop`, as (what is handed on, span) -> (that, what is left). `settled` wears surfaces;
-    `step` [s]: of an integrator whose steps have a length, so that updates come after whole ones.
+    while `loop`, as (what is handed on, span) -> (that, what is left). `motion` as of a `Turn`,
+    `settled` wears surfaces; `step` [s]: of an integrator whose steps have a length, so that
+    updates come after whole ones.
 
     A part in which a contact has gone more than twice as far as it is to is taken again, shorter.
     """
-    system = turn.model.system
 
     def end_of_part(time, length, stop):
         if step is not None:
@@ -391,7 +394,7 @@ def _between_updates(
             end = end_of_part(time, length, span.stop)
             wears = None if span.wears is None else span.wears | (time > span.start)
             carry, pending = settled(carry, pending, wears)
-            moved, wear, more = turn.motion(carry, span._replace(start=time, stop=end))
+            moved, wear, more = motion(carry._replace(worn={}), span._replace(start=time, stop=end))
             path, taken = longest_path(system, wear), end - time
             change = jnp.where(path > 0, limits.path / jnp.where(path > 0, path, 1.0), LONGER)
             target = taken * jnp.clip(change, SHORTER, LONGER)
@@ -411,32 +414,12 @@ def _between_updates(
                 noted = jax.tree.map(chosen, together(noted, more), noted)
             return chosen(end, time), (after, pending, target), noted
 
-        more = jax.eval_shape(turn.motion, first[0], span)[2]
+        more = jax.eval_shape(motion, first[0]._replace(worn={}), span)[2]
         nothing = jax.tree.map(lambda each: jnp.zeros(each.shape, each.dtype), more)
         _, carry, noted = loop(lambda now: now[0] < span.stop, one, (span.start, first, nothing))
         return carry, ((), noted)
 
     return parts
-
-
-def _in_parts(part: Callable, entry: Any, span: Span) -> Any:
-    """What is handed on and left behind a saving interval that is gone through in its equal parts;
-    `part`: (what is handed on, span) -> (that, what is left: by the last
-    part, and the events of all)."""
-    parts: Any = span.parts
-    length = (span.stop - span.start) / parts
-
-    def turn(now):
-        index, carry, (_, noted) = now
-        starts = jnp.where(index == 0, span.start, span.start + index * length)
-        ends = jnp.where(index + 1 == parts, span.stop, span.start + (index + 1) * length)
-        carry, (saved, more) = part(carry, Span(starts, ends, span.progress / parts))
-        return index + 1, carry, (saved, None if more is None else together(noted, more))
-
-    saved = jax.eval_shape(part, entry, span)[1]
-    nothing = jax.tree.map(lambda each: jnp.zeros(each.shape, each.dtype), saved)
-    first = jnp.zeros((), int), entry, nothing
-    return jax.lax.while_loop(lambda now: now[0] < parts, turn, first)[1:]
 
 
 def _between_instants(turn: Turn, loop: Callable, part: Callable) -> Callable:
@@ -501,7 +484,7 @@ def _in_one_kernel(turn: Turn, first: Carry, spans: Span, updates: Any) -> tuple
     else:
         limits, spans = _update_limits(model.system, spans, step, updates)
         length = limits.longest
-        part = _between_updates(turn, limits, step, settled, by_kernel)
+        part = _between_updates(turn.motion, model.system, limits, step, settled, by_kernel)
     part = _between_instants(turn, by_kernel, part)
 
     def one(carry, span):
@@ -520,31 +503,44 @@ def _in_one_kernel(turn: Turn, first: Carry, spans: Span, updates: Any) -> tuple
 def _from_save_to_save(
     turn: Turn, first: Carry, spans: Span, counted: int | None, updates: Any
 ) -> tuple[Carry, Saved]:
-    """As `_in_one_kernel`, each turn by itself, behind which XLA wears surfaces; of a `counted`
-    number of steps it goes backwards through them."""
-    system = turn.model.system
+    """As `_in_one_kernel`, each turn by itself; XLA wears surfaces. Where steps are `counted` it
+    goes backwards through them, and surfaces wear behind each turn."""
+    system, layout, step = turn.model.system, turn.model.layout, turn.step
     motion = turn.motion if counted is not None or not first.read else _as_a_kernel(turn.motion)
-    wear = wear_changed if counted is None else wear_all
+    by_path = bool(first.worn) and counted is None
+    entry: tuple = (first,)
 
-    def part(now, span):
+    def settled(now: Carry, since: Array, wears: Any = None) -> tuple[Carry, Array]:
+        events, since = pending_losses(layout, since, now.state, wears)
+        worn, read = wear_changed(system, now.worn, now.read, events)
+        return now._replace(worn=worn, read=read), since
+
+    if by_path:
+        limits, spans = _update_limits(system, spans, step, updates)
+        entry = first, pending_wear(system, layout, first.state).since, limits.longest
+        between = _between_updates(motion, system, limits, step, settled, jax.lax.while_loop)
+
+    def part(carry, span):
+        if by_path:
+            carry, (_, noted) = between(carry, span)
+            return carry, (carry[0].read, noted)
+        (now,) = carry
         worn, read = now.worn, now.read
         now, losses_now, noted = motion(now._replace(worn={}), span)
         saved = read, noted
         if worn:
-            worn, read = wear(system, worn, read, losses_now)
-        return now._replace(worn=worn, read=read), saved
+            worn, read = wear_all(system, worn, read, losses_now)
+        return (now._replace(worn=worn, read=read),), saved
 
     if counted is None:
         part = _between_instants(turn, jax.lax.while_loop, part)
 
-    def one(now, span):
-        wears = first.worn and counted is None
-        span = span._replace(parts=updates)
-        go = functools.partial(_in_parts, part) if wears else part
-        now, (read, noted) = go(now, span)
-        return now, (now.state, read, noted)
+    def one(carry, span):
+        carry, (read, noted) = part(carry, span)
+        return carry, (carry[0].state, read, noted)
 
-    last, (states, read, noted) = jax.lax.scan(one, first, spans)
+    carry, (states, read, noted) = jax.lax.scan(one, entry, spans)
+    last = settled(*carry[:2])[0] if by_path else carry[0]
     joined = lambda first, rows: jnp.concatenate([first[None], rows])
     read = jax.tree.map(lambda depths: jnp.concatenate([depths[:1], depths]), read)
     return last, Saved(joined(first.state, states), read, noted)

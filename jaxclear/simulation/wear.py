@@ -199,9 +199,7 @@ def worn_so_far(
     one.
     """
     worn, read, before = now
-    entries = _of_wear(layout)
-    reached = state[entries] if wears is None else jnp.where(wears, state[entries], before.since)
-    events = losses(layout, *(state.at[entries].set(each) for each in (before.since, reached)))
+    events, reached = pending_losses(layout, before.since, state, wears)
     worn, read = ({name: dict(m) for name, m in each.items()} for each in (worn, read))
     maps, pressures = wear_maps(system), dict(before.pressures)
     for (joint, surface), (volumes, places) in events.items():
@@ -209,6 +207,16 @@ def worn_so_far(
         result = maps[joint][surface][0].deposit_in_turn(*inputs, volumes, places)
         worn[joint][surface], read[joint][surface], pressures[joint, surface] = result
     return worn, read, Pending(reached, pressures)
+
+
+def pending_losses(
+    layout: Layout, since: Array, state: Array, wears: Any = None
+) -> tuple[Losses, Array]:
+    """(what surfaces are still to lose, as of `worn_so_far`; the entries that tell what contacts
+    have lost, as they are once surfaces are worn by that)."""
+    entries = _of_wear(layout)
+    reached = state[entries] if wears is None else jnp.where(wears, state[entries], since)
+    return losses(layout, *(state.at[entries].set(each) for each in (since, reached))), reached
 
 
 def _of_wear(layout: Layout) -> slice:

@@ -12,9 +12,8 @@ import pytest
 from scipy.optimize import brentq
 
 import jaxclear as jc
-from jaxclear.components.contact_patch import depth_loss
+from jaxclear.components.cylinder_map import CylinderMap
 from jaxclear.components.sphere_map import SphereMap
-from jaxclear.components.wear_map import CylinderMap
 from tests.mesh.test_worn_parts import mechanism as worn_parts
 
 LOAD, SPEED, RADIUS, CLEARANCE, LENGTH = 200.0, 12.0, 10e-3, 0.05e-3, 20e-3
@@ -157,8 +156,9 @@ CASES = 24
 def patch_of(wear_map, contact, depth):
     """The cells of a map, worn so deep, under a contact."""
     around, along = wear_map.cells
-    shared = jax.tree.map(lambda each: each[:, None], contact.in_columns(jnp.arange(around)))
-    return contact.patch(shared, jnp.arange(along), depth)
+    columns = wear_map.in_columns(contact, jnp.arange(around))
+    shared = jax.tree.map(lambda each: each[:, None], columns)
+    return wear_map.patch(contact, shared, jnp.arange(along), depth)
 
 
 def cases(wear_map):
@@ -186,11 +186,11 @@ def test_a_part_sinks_to_the_one_level_that_its_overlap_asks_for(wear_map):
 
     def sought(depth, volume, event):
         contact = wear_map.contact(volume, event)
-        patch, start = patch_of(wear_map, contact, depth), contact.start(depth)
-        found = [depth_loss(contact, patch, start + up) for up in (0.0, PLAY)]
+        patch, start = patch_of(wear_map, contact, depth), wear_map.start(contact, depth)
+        found = [wear_map.loss(contact, patch, start + up) for up in (0.0, PLAY)]
         begun = depth, wear_map.reading(depth), (jnp.zeros_like(depth),)
         after = wear_map.deposit_in_turn(*begun, volume[None], event[None])[0]
-        return found, after - depth, patch, contact.load.overlap
+        return found, after - depth, patch, contact.overlap
 
     depths, volumes, places = cases(wear_map)
     found, in_turn, patches, loads = jax.jit(jax.vmap(sought))(depths, volumes, places)

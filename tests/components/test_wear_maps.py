@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from scipy.interpolate import BSpline
 
+from jaxclear.components.cylinder_map import CylinderMap
 from jaxclear.components.sphere_map import SphereMap
 from jaxclear.components.wall_map import WallMap
-from jaxclear.components.wear_map import CylinderMap
 from jaxclear.ground.numerics import direction_angle
 from jaxclear.native import scan
 

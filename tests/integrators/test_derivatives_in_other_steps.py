@@ -156,7 +156,9 @@ def test_of_slip_that_chatters_there_is_none():
 
 @pytest.mark.slow
 def test_steps_that_resolve_it_have_one():
-    told = shares(jc.integrator.FixedStep(5e-6))
+    """Also where wear enters at updates: then `Adaptive` is a loop within another one, which goes
+    through its motion once for every variable."""
+    told = shares(jc.integrator.FixedStep(2e-6))
     known = shares(jc.integrator.Adaptive(rtol=1e-9, atol=1e-11))
     for name in ("mean force", "worn volume"):
-        np.testing.assert_allclose(told[name], known[name], rtol=6e-3)
+        np.testing.assert_allclose(told[name], known[name], rtol=1e-4)

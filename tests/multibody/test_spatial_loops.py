@@ -14,27 +14,7 @@ from jaxclear.ground.factorisation import least_change, of_rank
 from jaxclear.multibody import assembly
 from jaxclear.native import as_kernel, rows
 from jaxclear.native.rows import operations_of
-
-LINKS = [(0.2, 0.0, 0.0), (0.1, 0.15, 0.05), (0.0, 0.2, -0.05), (-0.1, 0.1, 0.1), (0.1, 0.0, 0.15)]
-# Where the tips are drawn, and how far they are from there.
-TIP, OFF = np.sum(LINKS, axis=0), np.array([0.02, -0.03, 0.01])
-AXES = [(np.sin(i), np.cos(i), 0.3 * i) for i in range(5)]
-
-
-def loops(count):
-    """So many chains of five skew hinges, whose tips are held by ball joints."""
-    bodies, connections = {}, {}
-    for k in range(count):
-        before, at = "ground", (0.0, 0.4 * k, 0.0)
-        for i, (axis, link) in enumerate(zip(AXES, LINKS, strict=True)):
-            name = f"link {k} {i}"
-            bodies[name] = jc.Body(1.0, (1e-3, 2e-3, 3e-3), link)
-            ends = jc.Marker(before, at, axis=axis), jc.Marker(name, (0.0, 0.0, 0.0), axis=axis)
-            connections[f"hinge {k} {i}"] = jc.Connection(jc.joint.Revolute(), *ends)
-            before, at = name, link
-        tip = jc.Marker("ground", tuple(TIP + OFF + (0.0, 0.4 * k, 0.0))), jc.Marker(before, at)
-        connections[f"ball {k}"] = jc.Connection(jc.joint.Spherical(), *tip)
-    return jc.Mechanism(bodies, connections)
+from tests.rigs.spatial_loops import hinge_loops
 
 
 def of_numbers(function, rig, *rest):
@@ -47,17 +27,17 @@ def of_numbers(function, rig, *rest):
 
 def test_of_more_loops_xla_compiles_no_more(monkeypatch):
     """Written out an assembly of ten hinges and two loops took XLA 15 s to compile."""
-    judged, numbers = of_numbers(assembly._judged.__wrapped__, loops(2), True, None)
+    judged, numbers = of_numbers(assembly._judged.__wrapped__, hinge_loops(2), True, None)
     left = operations_of(jax.make_jaxpr(judged)(numbers).jaxpr)
     monkeypatch.setattr(rows, "LONG", 10**9)
-    judged, numbers = of_numbers(assembly._judged.__wrapped__, loops(2), True, None)
+    judged, numbers = of_numbers(assembly._judged.__wrapped__, hinge_loops(2), True, None)
     whole = operations_of(jax.make_jaxpr(judged)(numbers).jaxpr)
     assert left < rows.SHORT + 0.3 * whole and whole > 10_000
 
 
 def test_kernels_assemble_as_xla(monkeypatch, caplog):
     caplog.set_level(logging.INFO, "jaxclear")
-    rig = loops(1)
+    rig = hinge_loops(1)
     monkeypatch.setattr(rows, "LONG", 10)
     found = jc.assemble(rig)
     assert not [x for x in caplog.messages if "left to XLA" in x]

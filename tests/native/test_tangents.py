@@ -186,3 +186,40 @@ def test_in_a_batch_the_motion_is_shared_by_tangents_as_well(built, count, toget
     state = program.body.in_avals[program.body_constants :]
     # Count, time, place, speed, and the tangents of place and speed; nobody asks for the largest.
     assert [a.shape for a in state] == [()] * 4 + [(together,)] * 2
+
+
+def in_steps_of_its_own(make):
+    """Decays one after the other, whose derivative is that of a loop which looks at the tangent."""
+
+    def turn(x, rate):
+        return x - 0.1 * rate * x
+
+    @jax.custom_jvp
+    def decay(x, rate):
+        return make(lambda s: s[0] < 8, lambda s: (s[0] + 1, turn(s[1], rate)), (0, x))[1]
+
+    @decay.defjvp
+    def moving(numbers, tangents):
+        (x, rate), (dx, d_rate) = numbers, tangents
+
+        def both(s):
+            return s[0] + 1, *jax.jvp(turn, (s[1], rate), (s[2], d_rate))
+
+        go = lambda s: (s[0] < 8) & (jnp.abs(s[2]) < 0.7)
+        return decay(x, rate), make(go, both, (0, x, dx))[2]
+
+    def function(p):
+        outer = lambda s: (s[0] + 1, decay(s[1], p[s[0] % 2]) + p[2])
+        return make(lambda s: s[0] < 5, outer, (0, p[0] * p[1]))[1][None]
+
+    return function
+
+
+@pytest.mark.parametrize("way", ["along one direction", "by four numbers", "by nine", "in a batch"])
+def test_loops_within_whose_steps_follow_their_tangents_are_kernels(way):
+    """Each tangent goes through the motion by itself. What is left to XLA is an error here."""
+    found, wanted = (
+        jax.jit(lambda m=m: WAYS[way](in_steps_of_its_own(m)))()
+        for m in (while_loop, jax.lax.while_loop)
+    )
+    np.testing.assert_allclose(found, wanted, rtol=ROUNDING)

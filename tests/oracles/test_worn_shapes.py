@@ -11,8 +11,8 @@ from scipy.integrate import quad
 from scipy.optimize import brentq
 
 import jaxclear as jc
+from jaxclear.components.cylinder_map import CylinderMap
 from jaxclear.components.sphere_map import SphereMap
-from jaxclear.components.wear_map import CylinderMap
 
 RADIUS, LENGTH, CLEARANCE = 10e-3, 20e-3, 0.1e-3
 ALONG_X = (1.0, 0.0)
@@ -351,3 +351,57 @@ def test_a_socket_that_turns_about_a_loaded_ball_wears_hertz_contact_drawn_aroun
     # widened by a cell, a hundredth of its width.
     wanted = depth * (1 - (row / half) ** 2 / 3)
     np.testing.assert_allclose(run.worn_depth("B", "socket").max(axis=1).mean(), wanted, rtol=0.03)
+
+
+def depth_between_circles(area, inner, outer):
+    """How deep a disc of one radius lies beyond the circle of another where it reaches beyond it by
+    an area, by the area that two circles share."""
+
+    def beyond(away):
+        chord = 0.5 * (away * away + outer * outer - inner * inner) / away
+        shared = outer * outer * math.acos(chord / outer) + inner * inner * math.acos(
+            (away - chord) / inner
+        )
+        return math.pi * inner * inner - shared + away * math.sqrt(outer * outer - chord * chord)
+
+    away = brentq(lambda e: beyond(e) - area, 1.000001 * (outer - inner), 0.1 * outer, xtol=1e-16)
+    return away + inner - outer
+
+
+def test_a_shaft_wears_into_its_bush_and_becomes_thinner_all_round():
+    """Under a constant load either loses k F s / H: the bush to where the shaft's circle lies in
+    its own, the shaft evenly; of a small clearance both in proportion to sliding.
+    Source: Dickrell & Sawyer 2004, Tribol. Trans. 47, 257 (wear of a shaft and of a bushing)."""
+    turns, load, gap = 20, 200.0, 5e-6
+    law = jc.wear.Archard()
+    inner, way = RADIUS - gap, 2 * math.pi * turns * (RADIUS - gap)
+    volume = float(law.wear_coefficient / law.hardness) * load * way
+    # 40 um of the bush in 20 turns, a tenth of it on the shaft.
+    wears = [
+        jc.Wearing(law, (288, 1), share * 80e-6 * RADIUS * LENGTH / volume) for share in (1, 0.1)
+    ]
+    joint = jc.clearance.PlanarJournalBearing(
+        jc.contact.CarvalhoMartins(stiffness=1e13),
+        bearing_radius=RADIUS,
+        clearance=gap,
+        length=LENGTH,
+        bearing_wear=wears[0],
+        journal_wear=wears[1],
+    )
+    rig = jc.Mechanism(
+        {"shaft": jc.Body(1.0, 1e-3)},
+        {"B": jc.Connection(joint, "ground", "shaft")},
+        {"load": jc.load.Force(jc.Marker("shaft"), (0.0, -load))},
+        speeds={"shaft": (0.0, 0.0, 4 * math.pi * turns)},
+    )
+    integrator = jc.integrator.NonColliding(2e-4)
+    run = jc.simulate(rig, 0.5, save=3, integrator=integrator, verify=False)
+    bush, shaft = (run.worn_depth("B", surface) for surface in ("bearing", "journal"))
+    lost = [80e-6 * RADIUS * LENGTH * share for share in (1, 0.1)]
+    for surface, whole in zip(("bearing", "journal"), lost, strict=True):
+        volumes = run.worn_volume("B", surface)
+        np.testing.assert_allclose(volumes, whole * np.array([0, 0.5, 1]), rtol=1e-9, atol=1e-25)
+    deepest = depth_between_circles(lost[0] / LENGTH, inner, RADIUS)
+    np.testing.assert_allclose(jnp.max(bush), deepest, rtol=1e-3)
+    # What is lost at first and at last, by a contact that widens, is not even.
+    np.testing.assert_allclose(shaft, lost[1] / (2 * np.pi * inner * LENGTH), rtol=0.05)

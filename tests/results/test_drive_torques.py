@@ -7,34 +7,9 @@ import pytest
 
 import jaxclear as jc
 from tests.rigs.overconstrained import COUPLER, CRANK, GRAVITY, LENGTH, parallel_cranks
+from tests.rigs.spatial_loops import BRAKE, SPEED, double_cardan
 
 ANGLE = 0.6
-# Two parallel shafts [m] apart, a Cardan joint at each end of what connects them, at these heights.
-APART, HEIGHTS = 0.1, {"A": (0.1, 0.5), "B": (0.0, 0.62)}
-SPEED, BRAKE = 10.0, 5.0
-
-
-def double_cardan():
-    """Shafts along z, joined by two double Cardan shafts beside each other: the output turns as the
-    input does."""
-    hinge = jc.joint.Revolute(drive=jc.drive.ConstantSpeed(SPEED))
-    bodies = {name: jc.Body(1.0, (1e-3, 1e-3, 1e-3)) for name in ("in", "out")}
-    connections = {
-        "inlet": jc.Connection(hinge, "ground", "in"),
-        "outlet": jc.Connection(jc.joint.Revolute(), "ground", "out", at=(APART, 0, 0)),
-    }
-    guess = {}
-    for name, (low, high) in HEIGHTS.items():
-        length, slope = np.hypot(APART, high - low), np.arctan2(APART, high - low)
-        bodies[name] = jc.Body(0.1, (1e-5, 1e-5, 1e-6), (0, 0, length / 2))
-        for end, at, own in (("in", low, 0.0), ("out", high, length)):
-            markers = jc.Marker(end, (0, 0, at)), jc.Marker(name, (0, 0, own))
-            connections[f"{name} {end}"] = jc.Connection(jc.joint.Universal(), *markers)
-        guess[f"{name} in"] = (0.0, slope)
-    # Branches grow from the input; their far ends close loops.
-    order = sorted(connections, key=lambda name: name.endswith(" out"))
-    loads = {"brake": jc.load.JointTorque("outlet", -BRAKE)}
-    return jc.Mechanism(bodies, {n: connections[n] for n in order}, loads, guess=guess)
 
 
 def test_the_drive_of_parallel_cranks_gives_what_lifts_them():

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
-from jaxclear.components.wear_map import CylinderMap
+from jaxclear.components.cylinder_map import CylinderMap
 from jaxclear.results.solids import parts, wall
 
 

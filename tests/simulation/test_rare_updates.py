@@ -75,3 +75,15 @@ def test_steps_that_are_no_share_of_the_time_between_updates_leave_them_as_rare(
     assert int(runs[0].accepted_steps) == int(runs[1].accepted_steps) == 4 * 167
     moved = [run.body("slider").com for run in runs]
     np.testing.assert_allclose(*moved, rtol=0, atol=1e-9)
+
+
+def test_with_a_progress_bar_a_run_wears_as_without():
+    """It is no kernel then, and updates follow the contact's path all the same: with two saving
+    times surfaces had worn once, at the end."""
+    shown, wanted = (
+        jc.simulate(
+            rig(None), DURATION, save=2, integrator=INTEGRATOR, verify=False, progress_bar=bar
+        )
+        for bar in (True, False)
+    )
+    np.testing.assert_allclose(depth(shown), depth(wanted), rtol=0, atol=1e-9 * depth(wanted).max())

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
+from jaxclear.components.cylinder_map import CylinderMap
 from jaxclear.components.sphere_map import SphereMap
 from jaxclear.components.wall_map import WallMap
-from jaxclear.components.wear_map import AreaMap, CylinderMap
+from jaxclear.components.wear_map import AreaMap
 from jaxclear.errors import verification
 from jaxclear.errors.estimates import factor_of_cells, factors_of_cells
 from jaxclear.integrators.checks import Check
@@ -116,13 +117,17 @@ PLACES = {
     [
         (
             "wall",
-            CylinderMap((48, 8), 10e-3, 20e-3, 1e-4, 2.0),
+            CylinderMap((48, 8), 10e-3, 20e-3, 1e-4, coarseness=2.0),
             CylinderMap((24, 4), 10e-3, 20e-3, 1e-4),
         ),
-        ("ball", SphereMap((48, 24), 10e-3, 1e-4, 2.0), SphereMap((24, 12), 10e-3, 1e-4)),
+        (
+            "ball",
+            SphereMap((48, 24), 10e-3, 1e-4, coarseness=2.0),
+            SphereMap((24, 12), 10e-3, 1e-4),
+        ),
         (
             "guide",
-            WallMap((2, 24), 0.12, 0.0, 0.04, 0.01, 1e-4, 0.01, 2.0),
+            WallMap((2, 24), 0.12, 0.0, 0.04, 0.01, 1e-4, 0.01, coarseness=2.0),
             WallMap((2, 12), 0.12, 0.0, 0.04, 0.01, 1e-4, 0.01),
         ),
     ],
@@ -165,14 +170,14 @@ def narrow_events(kind, coarseness):
     x, y = np.cos(0.31), np.sin(0.31)
     indentation = jnp.asarray(1e-4 * NARROW**2)
     if kind == "guide":
-        surface = WallMap((2, 40), 0.12, 0.0, 0.04, 0.01, 1e-4, 0.01, coarseness)
+        surface = WallMap((2, 40), 0.12, 0.0, 0.04, 0.01, 1e-4, 0.01, coarseness=coarseness)
         return surface, (0.0031, 0.0031**2, 4e-5, 1e-6, 1.0, 1.0), LOST / (0.01 * 0.5e-3)
     radius, length, size = 10e-3, 20e-3, (36, 1) if kind == "line" else (36, 18)
     if kind == "line":
-        surface = CylinderMap(size, radius, length, 1e-4, coarseness)
+        surface = CylinderMap(size, radius, length, 1e-4, coarseness=coarseness)
         place = x, y, 0.0, float(surface.narrowness(indentation)), 0.0
         return surface, place, LOST / (radius * length * NARROW * np.pi / 2)
-    surface = SphereMap(size, radius, 1e-4, coarseness)
+    surface = SphereMap(size, radius, 1e-4, coarseness=coarseness)
     narrowness = float(surface.narrowness(indentation))
     place = x, y, 0.0, x * x, x * y, 0.0, y * y, 0.0, narrowness
     return surface, place, LOST / (2 / 3 * np.pi * (radius * NARROW) ** 2)

@@ -38,6 +38,7 @@ class BallSocket(AbstractClearance):
     """
 
     ideal_rows: ClassVar = ("x", "y", "z")
+    surfaces: ClassVar = ("socket", "ball")
     contact: AbstractNormalLaw
     friction: AbstractFrictionLaw | None = None
     socket_radius: Scalar = quantity(10e-3, "m", above=0, kw_only=True)
@@ -73,19 +74,9 @@ class BallSocket(AbstractClearance):
         place = sp.scale(self.socket_radius + 0.5 * indentations[0], normal)
         return (ContactCandidate(place, normal, sp.IDENTITY),)
 
-    def maps(self):
-        surfaces = {
-            "socket": (self.socket_wear, self.socket_radius),
-            "ball": (self.ball_wear, self.ball_radius),
-        }
-        return {
-            name: (SphereMap(s.cells, radius, self.clearance, s.coarseness), s)
-            for name, (s, radius) in surfaces.items()
-            if s is not None
-        }
-
-    def inner_surfaces(self):
-        return ("ball",)
+    def wear_map(self, surface, wearing):
+        radius = self.socket_radius if surface == "socket" else self.ball_radius
+        return SphereMap(wearing.cells, radius, self.clearance, coarseness=wearing.coarseness)
 
     def features(self, surface, offset, axes, indentations, index):
         towards = direction(offset, 3)

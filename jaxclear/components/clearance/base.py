@@ -18,7 +18,7 @@ frictional spatial revolute joints on SE(3)", section 3.
 
 from abc import abstractmethod
 from math import inf
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -96,12 +96,14 @@ class ContactLaws(NamedTuple):
 class AbstractClearance(AbstractQuantified):
     """A joint with clearance.
 
-    A joint that can wear adds `maps` and `features`, one that can stay in contact `permanent_form`.
-    Class attribute of a member: `ideal_rows`, the constraint rows of the joint that it becomes as
-    the clearance vanishes.
+    A joint that can wear names its `surfaces`, has of each a field of that name with `_wear` behind
+    it, and adds `wear_map` and `features`; one that can stay in contact adds `permanent_form`.
+    Class attributes of a member: `ideal_rows`, the constraint rows of the joint that it becomes as
+    the clearance vanishes; `surfaces`, what may wear, the outer part's first, then the inner's.
     """
 
     ideal_rows: eqx.AbstractClassVar[tuple[str, ...]]
+    surfaces: ClassVar[tuple[str, ...]] = ()
 
     @property
     @abstractmethod
@@ -161,14 +163,25 @@ class AbstractClearance(AbstractQuantified):
         """
 
     def maps(self) -> dict[str, tuple[AbstractWearMap, Wearing]]:
-        """Wear map and law of each surface that wears, by the surface's name; none unless
-        overridden."""
-        return {}
+        """Wear map and law of each surface that wears, by the surface's name."""
+        wearing = {name: getattr(self, f"{name}_wear") for name in self.surfaces}
+        return {name: (self.wear_map(name, w), w) for name, w in wearing.items() if w is not None}
+
+    def wear_map(self, surface: str, wearing: Wearing) -> AbstractWearMap:
+        """Map of one of the `surfaces`.
+
+        Args:
+            surface: name of the surface.
+            wearing: how it wears, a `Wearing`.
+
+        Returns:
+            the map, an `AbstractWearMap`.
+        """
+        raise NotImplementedError(f"a {type(self).__name__} has no wear map for its {surface}.")
 
     def inner_surfaces(self) -> tuple[str, ...]:
-        """Those surfaces that are the inner part's (journal, ball, slider); none unless
-        overridden."""
-        return ()
+        """Those surfaces that are the inner part's (journal, ball, slider)."""
+        return self.surfaces[1:]
 
     def features(
         self, surface: str, offset: sp.Vec, axes: tuple, indentations: tuple, index: int

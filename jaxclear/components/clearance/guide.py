@@ -64,6 +64,7 @@ class SliderGuide(AbstractClearance):
     """
 
     ideal_rows: ClassVar = ("x", "x.z")
+    surfaces: ClassVar = ("guide", "slider")
     contact: AbstractNormalLaw
     friction: AbstractFrictionLaw | None = None
     width: Scalar = quantity(20e-3, "m", above=0, kw_only=True)
@@ -120,22 +121,14 @@ class SliderGuide(AbstractClearance):
             for side, corner in self._corners(offset, axes)
         )
 
-    def maps(self):
-        middle = jnp.zeros(()) if self.guide_middle is None else self.guide_middle
-        half = 0.5 * self.width
-        walls = {
-            "guide": (self.guide_wear, half + self.clearance, self.guide_length, middle),
-            "slider": (self.slider_wear, half, self.length, jnp.zeros(())),
-        }
-        size = self.length, self.breadth, self.clearance
-        return {
-            name: (WallMap((2, s.cells[1]), *along, *size, away, s.coarseness), s)
-            for name, (s, away, *along) in walls.items()
-            if s is not None
-        }
-
-    def inner_surfaces(self):
-        return ("slider",)
+    def wear_map(self, surface, wearing):
+        middle, half = jnp.zeros(()), 0.5 * self.width
+        length, distance = self.length, half
+        if surface == "guide":
+            length, distance = self.guide_length, half + self.clearance
+            middle = middle if self.guide_middle is None else self.guide_middle
+        sizes = length, middle, self.length, self.breadth, self.clearance, distance
+        return WallMap((2, wearing.cells[1]), *sizes, coarseness=wearing.coarseness)
 
     def features(self, surface, offset, axes, indentations, index):
         corners = tuple(self._corners(offset, axes))

@@ -26,7 +26,7 @@ from jaxclear.components.clearance.journal_base import (
     check_roundness,
 )
 from jaxclear.components.joint.base import shared_by_ends
-from jaxclear.components.wear_map import CylinderMap, Wearing
+from jaxclear.components.wear_map import Wearing
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import positive_part, rounded_norm, safe_divide
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, concrete, quantity
@@ -165,23 +165,9 @@ class PlanarJournalBearing(AbstractJournalBearing):
         reach = self.bearing_radius + 0.5 * indentations[0]
         return (ContactCandidate((reach * x, reach * y, 0), (x, y, 0), ((-y, x, 0),)),)
 
-    def maps(self):
-        surfaces = {
-            "bearing": (self.bearing_wear, self.bearing_radius),
-            "journal": (self.journal_wear, self.bearing_radius - self.clearance),
-        }
+    def wear_map(self, surface, wearing):
         # The whole length carries alike: one row of cells, whatever the number along.
-        return {
-            name: (
-                CylinderMap((s.cells[0], 1), radius, self.length, self.clearance, s.coarseness),
-                s,
-            )
-            for name, (s, radius) in surfaces.items()
-            if s is not None
-        }
-
-    def inner_surfaces(self):
-        return ("journal",)
+        return self.wall(surface, (wearing.cells[0], 1), wearing.coarseness)
 
     def features(self, surface, offset, axes, indentations, index):
         x, y, _ = self.touch(offset)
@@ -322,20 +308,8 @@ class JournalBearing(AbstractJournalBearing):
                 candidates.append(ContactCandidate(place, (0, 0, -end), ((1, 0, 0), (0, 1, 0))))
         return tuple(candidates)
 
-    def maps(self):
-        surfaces = {
-            "bearing": (self.bearing_wear, self.bearing_radius),
-            "journal": (self.journal_wear, self.journal_radius),
-        }
-        size = self.length, self.clearance
-        return {
-            name: (CylinderMap(s.cells, radius, *size, s.coarseness), s)
-            for name, (s, radius) in surfaces.items()
-            if s is not None
-        }
-
-    def inner_surfaces(self):
-        return ("journal",)
+    def wear_map(self, surface, wearing):
+        return self.wall(surface, wearing.cells, wearing.coarseness)
 
     def features(self, surface, offset, axes, indentations, index):
         centres = self.end_centres(offset, axes)

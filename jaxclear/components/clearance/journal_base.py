@@ -20,6 +20,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from jaxclear.components.clearance.base import AbstractClearance, AbstractPermanentJoint, direction
+from jaxclear.components.cylinder_map import CylinderMap
 from jaxclear.components.joint import Revolute
 from jaxclear.components.joint.base import CarryingEnd, pressed_end
 from jaxclear.ground import sparse as sp
@@ -128,6 +129,22 @@ class AbstractJournalBearing(AbstractClearance):
     clearance: eqx.AbstractVar[Scalar]
     length: eqx.AbstractVar[Scalar]
     roundness: eqx.AbstractVar[tuple[Lobes, ...] | None]
+    surfaces: ClassVar = ("bearing", "journal")
+
+    def wall(self, surface: str, cells: tuple[int, int], coarseness: Scalar) -> CylinderMap:
+        """Map of the bearing or the journal.
+
+        Args:
+            surface: name of the surface.
+            cells: cells around and along, 2 counts.
+            coarseness: number of cells side by side that are one [1].
+
+        Returns:
+            the map, a `CylinderMap`.
+        """
+        inside = self.bearing_radius - self.clearance
+        radius = self.bearing_radius if surface == "bearing" else inside
+        return CylinderMap(cells, radius, self.length, self.clearance, coarseness=coarseness)
 
     def touch(self, offset: sp.Vec) -> tuple[Any, Any, Any]:
         """Where a journal is nearest to the bore.
