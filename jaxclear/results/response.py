@@ -48,7 +48,7 @@ __all__ = [
     "PointingAngle",
     "PositionError",
     "WornVolume",
-    "concerned",
+    "depends_on",
     "unit_of",
 ]
 
@@ -140,7 +140,7 @@ def needs_of(response: Any) -> str:
     return response.drawn_from() if isinstance(response, AbstractResponse) else "anything"
 
 
-def concerned(response: Any, concerns: str) -> bool:
+def depends_on(response: Any, concerns: str) -> bool:
     """Whether a warning about a part of a run concerns a response.
 
     Args:

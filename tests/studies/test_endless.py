@@ -15,8 +15,8 @@ from jaxclear.integrators import Outcome
 from jaxclear.studies.design.question import Question, checked_limits, freedom_of
 from jaxclear.studies.design.runs import Runs
 from jaxclear.studies.design.verification import GROUPS, Verifier, _finite
-from jaxclear.studies.endless import replace_infinite, successes
 from jaxclear.studies.experiment import Cost, Description, ResponseInfo, SampleResult
+from jaxclear.studies.infinite_responses import replace_infinite, successes
 from jaxclear.studies.reliability.models import RunModel
 from jaxclear.studies.reliability.subset import subset
 from jaxclear.studies.statistics.scrambled import ordinary_quantile
