@@ -48,7 +48,12 @@ RENAMED = {
     "jaxclear.wear_lives": "wear_life_sample",
     "jaxclear.why_unknown": "explain_nan",
 }
-RENAMED_ARGUMENTS = {"asked": "subject", "most": "max_cycles", "seated": "in_contact"}
+RENAMED_ARGUMENTS = {
+    "asked": "subject",
+    "most": "max_cycles",
+    "own": "stated",
+    "seated": "in_contact",
+}
 
 
 class Renamed:
