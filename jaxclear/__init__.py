@@ -49,7 +49,7 @@ try:
     from jaxclear.ground.datasets import installed
     from jaxclear.ground.outcome import explain_nan
     from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity, vector
-    from jaxclear.laws import contact, flank, friction, material, section, stiffness, wear
+    from jaxclear.laws import contact, film, flank, friction, material, section, stiffness, wear
     from jaxclear.laws.material import Material
     from jaxclear.multibody.assemblies import assemblies
     from jaxclear.multibody.assembly import assemble
@@ -136,6 +136,7 @@ __all__ = [
     "drive",
     "explain_nan",
     "export_fmu",
+    "film",
     "fit",
     "flank",
     "formulation",
@@ -143,6 +144,7 @@ __all__ = [
     "identify",
     "integrator",
     "joint",
+    "largest",
     "limit",
     "limit_state",
     "load",

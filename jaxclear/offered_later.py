@@ -12,6 +12,7 @@ from jaxclear.studies import distribution, limit_state, sensor, tolerance
 from jaxclear.studies.advice import PilotSettings, advise
 from jaxclear.studies.design import catalogue, cost, limit
 from jaxclear.studies.design.design import design, pareto_front
+from jaxclear.studies.design.largest import largest
 from jaxclear.studies.design.search import DesignSettings
 from jaxclear.studies.experiment import AbstractExperiment, AbstractVariable
 from jaxclear.studies.fidelity.multi_fidelity import multi_fidelity

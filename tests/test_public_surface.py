@@ -121,6 +121,8 @@ INNER = {
     "CylinderMap",
     "FitSizes",
     "ImpactMemory",
+    "JournalFilm",
+    "MobileJournal",
     "_ServoOnMotor",
     "PeriodicTorque",
     "SphereMap",

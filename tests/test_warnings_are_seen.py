@@ -9,7 +9,7 @@ import jaxclear as jc
 from jaxclear import plot
 from jaxclear.commands.study import report_warnings
 from jaxclear.integrators.checks import Check, Checks, Figure
-from jaxclear.plot.canvas import canvas, captioned
+from jaxclear.plot.canvas import as_warnings, canvas, captioned
 from jaxclear.results.pointing_error import pointing_error
 
 
@@ -42,6 +42,17 @@ def test_a_figure_of_a_run_with_warnings_says_so(clean, name):
     assert texts(FIGURES[name](clean)).count("Warning") == 0
     figure = FIGURES[name](run)
     assert run.warnings[0][:30] in texts(figure)
+
+
+def test_warnings_below_a_figure_are_red_and_notes_are_not():
+    """Figures of right runs had red sentences below them."""
+    colours = []
+    for sentences in (["64 samples are too few for an interval."], as_warnings(["It sank in."])):
+        figure, axes = canvas(1, 1)
+        axes.plot([0, 1])
+        captioned(figure, sentences)
+        colours.append(figure.texts[-1].get_color())
+    assert colours == ["0.35", "C3"]
 
 
 def test_a_caption_ends_with_how_many_more_there_are_and_hides_nothing():

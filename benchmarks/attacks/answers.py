@@ -161,8 +161,8 @@ def told(run: jc.Trajectory) -> dict[str, float]:
     """The largest error that replicas tell of each response, as a share; of no other is any
     told."""
     known = run.verification.table()
-    names = known["answer"].str.split(', "').str[0].map(ANSWERS)
-    found = known["share"].groupby(names).max().to_dict()
+    names = known["quantity"].str.split(', "').str[0].map(ANSWERS)
+    found = known["relative error"].groupby(names).max().to_dict()
     if len(known) and not run.formulation.contact_joints(run.mechanism):
         forces = run.estimate(_mean_and_peak)
         shares = np.max(forces.error, axis=1) / (np.max(forces.value, axis=1) + NO_FORCE)

@@ -1,10 +1,10 @@
 """What a user waits for before the first result: the first run of every scene in a new process, on
 the integrator that `simulate` takes by default, or on MoreauJean where the scene's friction is
-set-valued; of the four-bar on every rung; on MoreauJean with wear; and of mechanisms of several
-spatial loops, with the reactions and the memory. With nothing kept by an earlier process, and with
-what one has kept.
+set-valued; of the four-bar on every rung; on MoreauJean with wear; of mechanisms of several
+spatial loops, with the reactions and the memory; and of studies. With nothing kept by an
+earlier process, and with what one has kept.
 
-    python -m benchmarks.claims.compile_time [--quick] [--only loops] [--models FILE ...]
+    python -m benchmarks.claims.compile_time [--quick] [--only loops|studies] [--models FILE ...]
         [--json FILE]
 
 `--models` reads robots from files of MJCF, which are measured as mechanisms of several loops.
@@ -38,6 +38,25 @@ for _ in range(2):
     spent.append(time.process_time())
 print(*(b - a for a, b in zip(spent, spent[1:])))
 """
+STUDIES = """
+import time
+import jaxclear as jc
+problem = jc.Problem(
+    jc.scenes.slider_crank(),
+    jc.response.MeanContactForce("B"),
+    {"clearance": jc.Variable(lambda rig: rig.connections["B"].joint.clearance, tolerance=20e-6)},
+    duration=0.05,
+)
+spent = [time.process_time()]
+for _ in range(2):
+    sample = jc.monte_carlo(problem, 1024)
+    spent.append(time.process_time())
+    jc.sensitivity(problem, "clearance", sample=sample)
+    spent.append(time.process_time())
+print(*(b - a for a, b in zip(spent, spent[1:])))
+"""
+# CPU seconds that are asked for of each study, in a first and a second process.
+OF_STUDIES = {"monte_carlo of 1 024": (2.0, 0.5), "sensitivity": (3.0, 0.8)}
 # A process prints CPU seconds, and last its largest resident memory [MB].
 SPATIAL = """
 import time
@@ -142,6 +161,22 @@ def row_of(scene: str, span: float, integrator: str, limit: float) -> dict[str, 
     }
 
 
+def study_rows() -> list[dict[str, Any]]:
+    """The first studies of a problem: a sample, and derivatives of its mean."""
+    with tempfile.TemporaryDirectory() as folder:
+        first, second = (told(STUDIES, folder) for _ in range(2))
+    return [
+        {
+            "study": name,
+            "first time [s]": first[place],
+            "the same again [s]": first[2 + place],
+            "in a second process [s]": second[place],
+            "asked for [s]": f"{limits[0]}, {limits[1]}",
+        }
+        for place, (name, limits) in enumerate(OF_STUDIES.items())
+    ]
+
+
 def loop_rows(rigs: dict[str, str]) -> list[dict[str, Any]]:
     """Mechanisms of several spatial loops, from nothing to the first steps and a reaction."""
     rows = []
@@ -165,11 +200,17 @@ def loop_rows(rigs: dict[str, str]) -> list[dict[str, Any]]:
 def main() -> None:
     options = arguments(
         __doc__,
-        only={"choices": ("loops",), "help": "only mechanisms of several spatial loops"},
+        only={"choices": ("loops", "studies"), "help": "only these"},
         models={"nargs": "*", "default": [], "help": "robots in files of MJCF"},
     )
     robots = {Path(path).stem: f"jc.read_mjcf({path!r})" for path in options.models}
     rigs = dict(list(LOOPS.items())[:: 3 if options.quick else 1]) | robots
+    studies = "First studies in a new process, CPU time"
+    if options.only != "loops":
+        report(studies, study_rows(), options)
+    if options.only == "studies":
+        sign("benchmarks.claims.compile_time", options.json, (studies,))
+        return
     loops = "First steps of mechanisms of several spatial loops in a new process, CPU time"
     report(loops, loop_rows(rigs), options)
     if options.only == "loops":

@@ -16,7 +16,7 @@ import jaxclear as jc
 from jaxclear import plot
 from jaxclear.commands.study import StudyFolder, report_warnings
 from jaxclear.ground.table import as_table
-from jaxclear.plot.canvas import captioned, warned
+from jaxclear.plot.canvas import as_warnings, captioned, warned
 from jaxclear.results.pointing_error import PointingError, shift, turn
 from jaxclear.results.trajectory import Trajectory
 from jaxclear.scenes.antenna import BASE, BEARING_RADIUS, HOLD, JOINTS, KINDS, TIP, antenna
@@ -239,8 +239,8 @@ def errors_figure(errors: Mapping[str, PointingError]) -> Figure:
         axes[0][column].set_title(f"{drive} drive")
         axes[1][column].set_xlabel("time [s]")
     figure.legend(*axes[0][0].get_legend_handles_labels(), ncols=3, loc="outside lower center")
-    notes = [f"Warning ({drive}): {w}" for drive, error in errors.items() for w in error.warnings]
-    return captioned(figure, notes)
+    warnings = [w for drive, error in errors.items() for w in as_warnings(error.warnings, drive)]
+    return captioned(figure, warnings)
 
 
 def tip_paths(run: Trajectory, error: PointingError) -> tuple[np.ndarray, np.ndarray]:

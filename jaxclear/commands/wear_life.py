@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 import jaxclear as jc
 from jaxclear import plot
 from jaxclear.commands.study import StudyFolder, report_warnings
-from jaxclear.plot.canvas import MICRO, canvas, captioned, shades
+from jaxclear.plot.canvas import MICRO, as_warnings, canvas, captioned, shades
 from jaxclear.scenes.four_bar import four_bar
 from jaxclear.studies.life.result import WearLife
 
@@ -66,7 +66,7 @@ def groove_figure(life: WearLife) -> Figure:
     axes.set_ylabel("depth [µm]")
     axes.legend(fontsize=8)
     axes.set_title("The groove in the bearing")
-    return captioned(figure, [f"Warning: {sentence}" for sentence in life.warnings])
+    return captioned(figure, as_warnings(life.warnings))
 
 
 def study(folder: Path, cycles: float = 1e6, tolerance: float = 1e-2, show: bool = True) -> None:

@@ -32,7 +32,8 @@ class LoadState(NamedTuple):
         name: name of the state, a text.
         unit: unit of the state, a text.
         start: value at the beginning of a run [its unit].
-        saturation: size at which the state stands still [its unit], where steps end; None: no such bound.
+        saturation: size at which the state stands still [its unit], where steps end; None: no such
+            bound.
     """
 
     name: str

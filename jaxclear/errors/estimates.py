@@ -22,7 +22,7 @@ from jaxclear.integrators.checks import Check
 from jaxclear.multibody.system import wearing_in
 from jaxclear.results.response import needs_of
 from jaxclear.results.trajectory import Trajectory
-from jaxclear.results.verification import AbstractVerification, Estimate, Unverified
+from jaxclear.results.verification import TABLE_COLUMNS, AbstractVerification, Estimate, Unverified
 
 HALF, QUARTER = 0.5, 0.25
 WORDS = {
@@ -97,21 +97,24 @@ class Verified(AbstractVerification):
     @property
     def warnings(self):
         beyond = sorted((t for t in self.entries if t.beyond), key=lambda t: -t.share / t.promised)
-        sentences = []
-        if self.path is not None:
-            since, growth = map(float, self.path)
-            sentences.append(
-                f"From {since:.3g} s on places in gaps hang on the start's tenth digit (e-fold in "
-                f"{growth:.2g} s): no run tells them; ask means over samples."
-            )
         answers = [row for row in beyond if not row.chaotic]
-        return (*sentences, *([self._sentence(answers)] if answers else []))
+        return (self._sentence(answers),) if answers else ()
+
+    @property
+    def notes(self):
+        if self.path is None:
+            return ()
+        since, growth = map(float, self.path)
+        return (
+            f"From {since:.3g} s on the path in the gaps is chaotic (differences grow e-fold in "
+            f"{growth:.2g} s): take means over samples.",
+        )
 
     def _sentence(self, beyond: list[StandardAnswer]) -> str:
         """What is off, by how much, and what to do, of the answers that are furthest beyond."""
         worst, others = beyond[0], len(beyond) - 1
-        more = f" (and {others} more answer{'s' * (others > 1)})" if others else ""
-        error = f"{worst.share:.2g} {WORDS[worst.part]} ({worst.promised:g} promised)"
+        more = f", and {others} more answer{'s' * (others > 1)}" if others else ""
+        error = f"{worst.share:.2g} {WORDS[worst.part]} (tolerance {worst.promised:g})"
         cells = "; " if self.coarser is None or worst.part != "losses" else "; more cells, or "
         name = f"{worst.name[0].upper()}{worst.name[1:]}"
         return f"{name}: error about {error}{more}{cells}{self.remedy}."
@@ -137,35 +140,35 @@ class Verified(AbstractVerification):
         return Estimate(value, error, self._how())
 
     def _how(self) -> str:
-        steps = "half" if len(self.replicas) == 1 else "half and quarter"
+        steps = "half the step" if len(self.replicas) == 1 else "half and a quarter of the step"
         began = not is_traced(self.since) and self.since != 0
         since = f", since {float(self.since):.6g} s" if began else ""
         if self.coarser is not None:
-            return f"from {steps} steps and wider cells{since}"
-        return f"twice what {steps} steps change{since}"
+            return f"the change with {steps} and with wider cells{since}"
+        return f"twice the change with {steps}{since}"
 
     def promised(self, response: Any) -> float | None:
         """The share that is promised of a response; None for nothing."""
         return getattr(self.promise, PART_OF.get(needs_of(response), ""), None)
 
     def table(self):
-        columns = ("name", "value", "error", "unit", "share", "promised")
-        rows = [[getattr(t, column) for column in columns] for t in self.entries]
-        return as_table(rows, columns=["answer", *columns[1:]], errors={"value": "error"})
+        fields = ("name", "value", "error", "unit", "share", "promised")
+        rows = [[getattr(t, field) for field in fields] for t in self.entries]
+        return as_table(rows, columns=TABLE_COLUMNS, errors={"value": "error"})
 
     def attributes(self):
         rows = [f"{t.name}: {t.error:.2g} {t.unit}" for t in self.entries]
         return {"numerical errors": "; ".join(rows)}
 
     def _shown(self):
-        of = lambda t: "lost" if t.chaotic else "beyond" if t.beyond else ""
-        table = self.table().drop(columns=["share", "promised"])
-        for head in ("share", "promised"):
+        of = lambda t: "chaotic" if t.chaotic else "exceeded" if t.beyond else ""
+        table = self.table().drop(columns=["relative error", "tolerance"])
+        for head in ("relative error", "tolerance"):
             parts = [100 * part for part in self.table()[head]]
             table[f"{head} [%]"] = [float(f"{part:.2g}") for part in parts]
         marks = [of(t) for t in self.entries]
         table = table.assign(remark=marks) if any(marks) else table
-        return table, f"Numerical errors are {self._how()}. {self.why}".rstrip()
+        return table, f"Error estimate: {self._how()}. {self.why}".rstrip()
 
 
 class Failed(AbstractVerification):
@@ -179,6 +182,10 @@ class Failed(AbstractVerification):
     @property
     def warnings(self):
         return (f"With shorter steps the same run fails, so its numbers may be off: {self.result}",)
+
+    @property
+    def notes(self):
+        return ()
 
     @property
     def beyond(self):

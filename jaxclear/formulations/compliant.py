@@ -22,6 +22,7 @@ from jaxclear.formulations.base import (
     clearance_contact,
 )
 from jaxclear.formulations.contact_rows import TimeStep, contact_points, split
+from jaxclear.formulations.films_over_step import AXES, films_of
 from jaxclear.formulations.impact_speed import ContactMotion, remembered
 from jaxclear.formulations.joint_friction import friction_losses, rubbing
 from jaxclear.formulations.laws_over_step import PastSlip
@@ -363,7 +364,8 @@ class CompliantContact(AbstractFormulation):
         reactions = sp.stack(self._reactions(model, time, entries))
         forces = jnp.zeros(len(depths) if self.damped(model) else 0)
         surplus = jnp.zeros(model.layout.speeds if depths else 0)
-        known = speeds, sp.stack(depths), sp.stack(slips), reactions, surplus, forces
+        films = jnp.zeros(AXES * len(films_of(model.system)))
+        known = speeds, sp.stack(depths), sp.stack(slips), reactions, films, surplus, forces
         return jnp.concatenate(known)
 
     def caused_by_contact(self, model: Model, time: Any, state: State) -> tuple:
@@ -424,17 +426,20 @@ class CompliantContact(AbstractFormulation):
         ]
         rubbing = len(rubbing_joints(model.system))
         counts = [count, count, len(directions), 3 * sum(directions), REACTION * rubbing]
-        counts += [count if directions else 0]
-        smooth, contact, depths, slips, reactions, surplus = split(numbers, counts)
+        films = len(films_of(model.system))
+        counts += [AXES * films, count if directions else 0]
+        smooth, contact, depths, slips, reactions, squeezes, surplus = split(numbers, counts)
         met_before = [Reaction(own[:3], own[3:]) for own in split(reactions, [REACTION] * rubbing)]
         past = [PastSlip(*slip) for slip in split(slips, [3] * sum(directions))]
         motion = list(smooth), list(contact), list(depths)
         held = split(past, directions), tuple(met_before)
-        last = WarmStart(*motion, *held, surplus=list(surplus))
+        squeezes = tuple(split(squeezes, [AXES] * films))
+        last = WarmStart(*motion, *held, surplus=list(surplus), films=squeezes)
         entries, how = model.entries(state), (bias, newton_iterations)
         after, now = midpoint_step.step(model, time_step, entries, last, *how)
         met = [x for contact in now.slips for slip in contact for x in slip]
         met += [x for own in now.reactions for part in own for x in part]
+        met += [x for own in now.films for x in own]
         handed_on = [*now.smooth, *now.contact, *now.depths, *met, *now.surplus, *now.forces]
         return sp.stack(after), sp.stack(handed_on)
 

@@ -16,6 +16,7 @@ from jaxclear.formulations.contact_rows import (
     split,
 )
 from jaxclear.formulations.delassus import ContactSolution, ImplicitContact
+from jaxclear.formulations.films_over_step import AXES, FilmOverStep, with_films
 from jaxclear.formulations.impact_speed import ContactMotion, PerContact
 from jaxclear.formulations.laws_over_step import Averaging, SlipAtStart
 from jaxclear.formulations.model import Model, State
@@ -30,6 +31,7 @@ from jaxclear.formulations.state_rate import (
 )
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import positive_part
+from jaxclear.multibody import kinematics
 from jaxclear.multibody.contact_point import ActingContact, PointState, impact_speed_now
 from jaxclear.multibody.damped_stops import forces_at
 from jaxclear.multibody.state import impact_speed_places, pack_memories, unpack_motion
@@ -61,6 +63,7 @@ class Step(NamedTuple):
     equations: ImplicitContact
     joints: tuple[JointOverStep, ...] = ()
     shafts: tuple[ShaftOverStep, ...] = ()
+    films: tuple[FilmOverStep, ...] = ()
 
     def reaches(self) -> list:
         """Change of each row's rate by the acceleration that contact adds to it [s]."""
@@ -70,7 +73,7 @@ class Step(NamedTuple):
             out.append(self.averaging.reach)
             out += [contact.braking.reach] * others if others else []
         out += [joint.reach for joint in self.joints for _ in joint.rates]
-        return out + [self.averaging.reach for _ in self.shafts]
+        return out + [self.averaging.reach] * (len(self.shafts) + AXES * len(self.films))
 
     def per_joint(self, values: Any) -> list[tuple]:
         """One value per row with a force, as one tuple per ideal joint that rubs."""
@@ -117,7 +120,12 @@ def passive_rates_over(
         motion = unpack_motion(system, [*whole.middle.halfway, *whole.middle.predicted])
         motions = free_motion.forces.motions
         time, followed = whole.time_step.middle, forces.followed
+        if whole.films:
+            # Speeds at its start alternate about those that stiff films determine.
+            motion = unpack_motion(system, [*whole.middle.halfway, *mean])
+            motions = kinematics.link_motions(system, *motion, time)
         forces = forces_at(system, motions, reports, *motion, time, followed)
+        forces = with_films(forces, whole.films, solution)
     accelerations, multipliers = (
         [sp.add(a, b) for a, b in zip(free, caused, strict=True)]
         for free, caused in (

@@ -26,6 +26,14 @@ from jaxclear.formulations.contacts_over_step import (
     passive_rates_over,
 )
 from jaxclear.formulations.delassus import ContactSolution, LinearLaws, implicit_contact
+from jaxclear.formulations.films_over_step import (
+    AXES,
+    films_over_step,
+    per_film,
+    solve_with_films,
+    velocity_lag,
+    without_films,
+)
 from jaxclear.formulations.impact_speed import taken_in_flight
 from jaxclear.formulations.laws_over_step import Averaging, PastSlip
 from jaxclear.formulations.model import Model
@@ -72,8 +80,8 @@ def read_by(row: JacobianRow, *vectors: Sequence[Any]) -> RowRead:
 class WarmStart(NamedTuple):
     """What a step hands on to the next: free accelerations without contact, what contact adds, the
     last indentations, of each sliding direction of each contact friction and slip, the reactions of
-    ideal joints that rub, the normal forces [N] at its start where some contact damps, and its
-    `surplus`.
+    ideal joints that rub, the normal forces [N] at its start where some contact damps, its
+    `surplus`, and the mean velocity [m/s] of the journal in each film.
     """
 
     smooth: list
@@ -83,6 +91,7 @@ class WarmStart(NamedTuple):
     reactions: tuple[Reaction, ...] = ()
     forces: tuple = ()
     surplus: Sequence = ()
+    films: tuple = ()
 
 
 def step(
@@ -92,7 +101,7 @@ def step(
     `bias` that of the mean forces towards the step's end, `iterations` those of Newton's method on
     the contact laws."""
     h = time_step.length
-    averaging = Averaging(h, bias)
+    averaging, model = Averaging(h, bias), without_films(model)
     accelerations = sp.each(lambda a, b: a + b, last.smooth, last.contact)
     middle = contact_rows.middle_of_step(model, time_step, entries, accelerations)
     shafts, free_motion = shafts_over_step(model, middle.free_motion, middle.change_to(middle.v), h)
@@ -100,9 +109,11 @@ def step(
     joints = joints_over_step(model, middle, last.reactions, averaging)
     further = [x.row for joint in joints for x in joint.rates]
     further += [shaft.rate.row for shaft in shafts]
+    films = films_over_step(model.system, middle, last.films, time_step)
+    further += [rate.row for film in films for rate in film.rates]
     equations = implicit_contact(middle.free_motion, further)
     contacts = _contacts_at_start(model, averaging, middle, equations.free, entries, last)
-    whole = Step(model, time_step, averaging, middle, contacts, equations, joints, shafts)
+    whole = Step(model, time_step, averaging, middle, contacts, equations, joints, shafts, films)
     solution = _iterate(whole, last.contact, iterations)
     free, caused = equations.free, solution.accelerations
     halfway = lambda x, k, c: x + 0.5 * h * (k + (1 + bias) * c)
@@ -127,7 +138,15 @@ def step(
     faster = [h * along(contact.point.rates[0].row, last.surplus) for contact in contacts]
     pressed = forces_at_start(model.system, contacts, faster)
     faster = surplus(bias, free, caused) if contacts else []
-    return after, WarmStart(free, caused, depths, past, reactions, pressed, faster)
+    means = per_film(films, solution.rates)
+    means = [film.mean_velocity(own) for film, own in zip(films, means, strict=True)]
+    if films:
+        fast = [x + h * more for x, more in zip(v, faster, strict=True)]
+        rows = len(solution.rates)
+        lag = velocity_lag(model.system, films, (time_step.end, q, fast), means, equations, rows)
+        faster = [sp.add(x, more / h) for x, more in zip(faster, lag, strict=True)]
+    carried = reactions, pressed, faster, tuple(means)
+    return after, WarmStart(free, caused, depths, past, *carried)
 
 
 def surplus(bias: Any, free: list, caused: list) -> list:
@@ -231,10 +250,16 @@ def _first_rates(whole: Step, last: list) -> tuple[list, list, list]:
     back = whole.middle.change_to(whole.middle.v)
     further = [(rate, joint.reach, joint.reach) for joint in whole.joints for rate in joint.rates]
     further += [(shaft.rate, 0.5 * h, whole.averaging.reach) for shaft in whole.shafts]
+    further += [(r, 0.5 * h, whole.averaging.reach) for film in whole.films for r in film.rates]
     for rate, time, reach in further:
         unmoved.append(sp.add(rate.at(back), time * along(rate.row, free)))
         first.append(sp.add(unmoved[-1], reach * along(rate.row, last)))
         forces.append(0.0)
+    if whole.films:
+        pairs = zip(whole.films, per_film(whole.films, unmoved), strict=True)
+        first = first[: -AXES * len(whole.films)]
+        for film, free_rates in pairs:
+            first += film.first_rates(free_rates)
     return unmoved, first, forces
 
 
@@ -249,15 +274,21 @@ def _iterate(whole: Step, last: list, iterations: int) -> ContactSolution:
         return equations.solve([], [], LinearLaws([], [], []))
     size = len(unmoved)
 
-    def improve(solution, _):
+    def improve(solution, turn):
         rates, forces = map(unstacked, solution[:2])
-        better = equations.solve(reaches, unmoved, _linear_laws(whole, rates, forces))
+        tangents = [
+            (*film.tangent(own, turn == 0), own)
+            for film, own in zip(whole.films, per_film(whole.films, rates), strict=True)
+        ]
+        laws = _linear_laws(whole, rates, forces)
+        better = solve_with_films(equations, reaches, unmoved, laws, tangents)
         return ContactSolution(*map(sp.stack, better)), None
 
     counts = (size, size, len(equations.free), len(equations.multipliers))
     blank = ContactSolution(*map(jnp.zeros, counts))
     blank = blank._replace(rates=sp.stack(rates), forces=sp.stack(forces))
-    solution = jax.lax.scan(improve, blank, length=iterations)[0]
+    turns = jnp.arange(iterations) if whole.films else None
+    solution = jax.lax.scan(improve, blank, turns, length=iterations)[0]
     return ContactSolution(*map(unstacked, solution))
 
 
@@ -288,9 +319,12 @@ def _linear_laws(whole: Step, rates: list, forces: list) -> LinearLaws:
     for joint, own in zip(whole.joints, whole.per_joint(rates), strict=True):
         dampings += [damping(joint, own)] * len(own) if own else []
         forces, about = forces + [0.0] * len(own), about + [0.0] * len(own)
-    for shaft, rate in zip(whole.shafts, rates[len(forces) :], strict=True):
+    twists = rates[len(forces) : len(forces) + len(whole.shafts)]
+    for shaft, rate in zip(whole.shafts, twists, strict=True):
         force, falls = shaft.law(rate)
         forces, dampings, about = [*forces, force], [*dampings, falls], [*about, rate]
+    films = [0.0] * (AXES * len(whole.films))
+    forces, dampings, about = forces + films, dampings + films, about + films
     return LinearLaws(forces, dampings, about)
 
 
@@ -313,7 +347,8 @@ def _settle(whole: Step, solution: ContactSolution, q: list, v: list) -> tuple[l
         closed = (true > 0) | (assumed > 0)
         weights += [jnp.where(closed, STIFFNESS * contact.mass, 0.0), *others]
         unmoved += [true - assumed, *others]
-    further = [0.0] * (sum(len(joint.rates) for joint in whole.joints) + len(whole.shafts))
+    rows = sum(len(joint.rates) for joint in whole.joints) + len(whole.shafts)
+    further = [0.0] * (rows + AXES * len(whole.films))
     unmoved, weights = unmoved + further, weights + further
     nothing = [0.0] * len(unmoved)
     ones = [1.0] * len(unmoved)

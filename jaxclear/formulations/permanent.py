@@ -51,6 +51,7 @@ from jaxclear.formulations.permanent_reactions import (
 from jaxclear.formulations.permanent_report import (
     friction_of,
     joint_components,
+    moved_in_films,
     pressing,
     report_of_means,
 )
@@ -258,6 +259,8 @@ class PermanentContact(AbstractFormulation):
             gained[layout.energies.index("damping_loss") - len(layout.energies)] += lost
         end = [*end, *after]
         end += [x + g for x, g in zip(entries[len(end) :], gained, strict=True)]
+        for index, value in moved_in_films(model, motions, followed, found.reactions, h).items():
+            end[index] = value
         residual = jnp.maximum(last[-1], left)
         handed = [found.accelerations[j] for j in range(len(v))]
         handed += [x for own in centres.values() for centre in own for x in centre]

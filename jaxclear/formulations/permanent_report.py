@@ -10,8 +10,9 @@ from typing import Any
 import jax.numpy as jnp
 
 from jaxclear.components.clearance import CarryingEnd, carried_load
+from jaxclear.components.journal_film import film_of
 from jaxclear.formulations.base import ContactReport
-from jaxclear.formulations.model import Instant
+from jaxclear.formulations.model import Instant, Model
 from jaxclear.formulations.permanent_reactions import (
     REACTION,
     PermanentJoint,
@@ -23,7 +24,9 @@ from jaxclear.formulations.permanent_reactions import (
 )
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import safe_divide
+from jaxclear.multibody.forces import read_load
 from jaxclear.multibody.rows import wrench_in_joint
+from jaxclear.multibody.state import Followed
 from jaxclear.multibody.system import System
 
 
@@ -57,7 +60,26 @@ def _share(joint: PermanentJoint, reaction: Reaction, friction: Any) -> Any:
 def pressing(joint: PermanentJoint, reaction: Reaction, friction: Any) -> Any:
     """Sum of the normal forces [N] of a joint's contacts."""
     ends = carrying_ends(joint, reaction, friction)
+    if joint.joint.gap_load(joint.name) is not None:
+        return 0.0 * jnp.asarray(sp.total(reaction.force))
     return sp.total(contact.normal_force for end in ends for contact in end.contacts)
+
+
+def moved_in_films(
+    model: Model, motions: tuple, followed: Followed, reactions: tuple[Reaction, ...], h: Any
+) -> dict[int, Any]:
+    """States of journals on films after a step of `h` [s] under the mean reactions of joints that
+    touch, by their place in the state."""
+    system, result = model.system, dict[int, Any]()
+    for fixed, reaction in zip(touching(system), reactions, strict=True):
+        name = film_of(fixed.name)
+        if name in system.loads:
+            load, place = system.loads[name], model.layout.states.index((name, "x"))
+            (motion,) = read_load(system, motions, load, name, followed)[0]
+            force = tuple(reaction.force[:2])
+            after = load.moved(followed.states[name], motion.spin[2], force, h)
+            result |= {model.layout.state_start + place + i: x for i, x in enumerate(after)}
+    return result
 
 
 def joint_components(system: System) -> tuple[tuple[str, int], ...]:
@@ -89,12 +111,17 @@ def report(
     slips = tuple(sliding_speeds(instant.model.system, instant.motions, fixed))
     sliding = [slid(joint, slips if len(slips) > 1 else slips[0], c.place) for c in result]
     offset, axis = _offset_and_axis(ends)
+    normal = sp.stack([contact.normal_force for contact in result])
+    if joint.gap_load(fixed.name) is not None:
+        # The film carries, wherever the journal lies.
+        offset = jnp.stack([*instant.followed.states[film_of(fixed.name)][:2], jnp.zeros(())])
+        normal = 0.0 * normal
     loads = wrench_in_joint(instant.forces({}).rows, fixed.name)
     return ContactReport(
         offset,
         axis,
         jnp.zeros(len(result)),
-        sp.stack([contact.normal_force for contact in result]),
+        normal,
         sp.stack(sliding),
         jnp.abs(sp.stack([contact.friction for contact in result])),
         jnp.stack([sp.stack(contact.place) for contact in result]),

@@ -96,6 +96,12 @@ class RigidContact(AbstractFormulation):
         check_play(mechanism, integrator, rigid=True)
         check_found_over_steps(mechanism, integrator, seated=False)
         for name in mechanism.topology.clearances:
+            if mechanism.connections[name].joint.gap_load(name) is not None:
+                raise ValueError(
+                    f'joint "{name}" has a film, which {integrator} does not follow; take '
+                    "integrator.ImplicitStep, Adaptive, FixedStep or NonColliding, or leave the "
+                    "film out."
+                )
             for laws in mechanism.connections[name].joint.contact_laws():
                 if laws.contact.restitution is None:
                     raise ValueError(

@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxclear.ground import array_functions as xp
 from jaxclear.ground.argument_errors import nothing_else
 
 __all__ = [
@@ -47,7 +48,7 @@ def safe_sqrt(x: Float[Array, "..."]) -> Float[Array, "..."]:
         The root, of the same shape.
     """
     positive = x > TINY_SQUARE
-    return jnp.where(positive, jnp.sqrt(jnp.where(positive, x, TINY_SQUARE)), 0.0)
+    return xp.where(positive, xp.sqrt(xp.where(positive, x, TINY_SQUARE)), 0.0)
 
 
 def safe_divide(numerator, denominator):
@@ -61,7 +62,7 @@ def safe_divide(numerator, denominator):
         The quotient.
     """
     regular = denominator != 0
-    return jnp.where(regular, numerator / jnp.where(regular, denominator, jnp.inf), 0.0)
+    return xp.where(regular, numerator / xp.where(regular, denominator, jnp.inf), 0.0)
 
 
 def direction_angle(x: Float[Array, "..."], y: Float[Array, "..."]) -> Float[Array, "..."]:

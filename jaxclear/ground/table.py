@@ -415,9 +415,12 @@ def _in_html(cells: _Cells) -> str:
     """The table in a page, lying as it does in a terminal."""
     cells = _best(cells)
     columns = [*cells.names, *cells.columns]
-    row = lambda kind, texts: "".join(f"<{kind}>{html.escape(x)}</{kind}>" for x in texts)
+    # Sentences get a width of their own: on a narrow page they stood one word a line.
+    kinds = ['td class="sentence"' if c.long else "td" for c in columns]
+    cell = lambda kind, text: f"<{kind}>{html.escape(text)}</{kind[:2]}>"
+    row = lambda kinds, texts: "".join(map(cell, kinds, texts))
     rows = zip(*(c.cells for c in columns), strict=True)
-    head = f"<thead><tr>{row('th', [c.head for c in columns])}</tr></thead>"
-    body = "".join(f"<tr>{row('td', c)}</tr>" for c in rows)
+    head = f"<thead><tr>{row(['th'] * len(columns), [c.head for c in columns])}</tr></thead>"
+    body = "".join(f"<tr>{row(kinds, c)}</tr>" for c in rows)
     notes = "".join(f"<p>{html.escape(note)}</p>" for note in cells.notes)
     return f'<table class="dataframe">{head}<tbody>{body}</tbody></table>{notes}'

@@ -11,6 +11,7 @@ from jaxclear.formulations import contact_rows, contacts_over_step
 from jaxclear.formulations.closing import closed
 from jaxclear.formulations.compliant import CompliantContact
 from jaxclear.formulations.contact_rows import TimeStep
+from jaxclear.formulations.films_over_step import films_of
 from jaxclear.formulations.midpoint_step import surplus
 from jaxclear.formulations.model import Model, State
 from jaxclear.ground import sparse as sp
@@ -26,6 +27,8 @@ from jaxclear.multibody.system import System, prepare
 # Newton iterations on the contact laws: where force and damping grow with the indentation alike,
 # and where a damper beside the spring grows on its own.
 ITERATIONS, DAMPED_ITERATIONS = 2, 8
+# With films: one with the journal where the step before leads it.
+FILM_ITERATIONS = ITERATIONS + 1
 
 
 class ImplicitStep(AbstractIntegrator):
@@ -123,7 +126,9 @@ class ImplicitStep(AbstractIntegrator):
         return last, separate
 
     def _derived(self, model):
-        return self.through_contacts and model.system.bearings and not model.discrete
+        wet = {film.connection for film in films_of(model.system).values()}
+        dry = not wet.issuperset(model.system.bearings)
+        return self.through_contacts and dry and not model.discrete
 
     @property
     def through_contacts(self):
@@ -202,7 +207,9 @@ class ImplicitStep(AbstractIntegrator):
         if any(t.coupling.play is not None for t in system.transmissions.values()):
             return DAMPED_ITERATIONS
         laws = [t.contact for bearing in system.bearings.values() for t in bearing.contact_laws]
-        return DAMPED_ITERATIONS if any(law.restitution is None for law in laws) else ITERATIONS
+        if any(law.restitution is None for law in laws):
+            return DAMPED_ITERATIONS
+        return FILM_ITERATIONS if films_of(system) else ITERATIONS
 
     def advance(self, model, interval, state, warm_start):
         steps, h = divide(interval, self.step, self.steps_per_save)

@@ -53,6 +53,20 @@ class Archard(AbstractWearLaw):
     wear_coefficient: Scalar = quantity(1e-5, "1", at_least=0)
     hardness: Scalar = quantity(2e9, "Pa", above=0, usual=USUAL_HARDNESS)
 
+    @classmethod
+    def from_specific_wear(cls, specific_wear: Scalar, hardness: Scalar = 2e9) -> "Archard":
+        """The law of a specific wear rate k/H, as tests and tables give it.
+
+        Args:
+            specific_wear: worn volume per load and sliding distance [mm^3/(N m)], >= 0; some 1e-7
+                of oiled, 1e-4 of dry steel.
+            hardness: hardness H of the softer body [Pa], > 0.
+
+        Returns:
+            The law, with k = 1e-9 `specific_wear` `hardness`.
+        """
+        return cls(wear_coefficient=1e-9 * specific_wear * hardness, hardness=hardness)
+
     def volume_rate(self, normal_force: Scalar, slip_speed: Scalar, traction: Scalar) -> Scalar:
         return self.wear_coefficient * normal_force * slip_speed / self.hardness
 

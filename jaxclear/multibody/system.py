@@ -21,6 +21,7 @@ from jaxclear.components.coupling import (
     Efficiency,
 )
 from jaxclear.components.joint import AbstractJoint, AbstractRubbingJoint, Revolute
+from jaxclear.components.journal_film import film_of
 from jaxclear.components.load import (
     AbstractBodyLoad,
     AbstractJointLoad,
@@ -224,15 +225,24 @@ def _check_error(name: str, coupling: Any, part: Closure) -> None:
 
 
 def acting_in(mechanism: Mechanism) -> dict[str, Any]:
-    """Loads and the couplings that are forces between coordinates, by name; each knows the motors
-    behind its joints."""
+    """Loads, films of joints and couplings that are forces between coordinates, by name; each
+    knows the motors behind its joints."""
     ends, result = motor_ends(mechanism), {}
     for name, load in mechanism.loads.items():
         if isinstance(load, AbstractStateLoad):
             load = load.of_bodies(mechanism.bodies).behind(ends)
         result[name] = load
+    result |= films_in(mechanism)
     part = mechanism.couplings.items()
     return result | {n: c for n, c in part if isinstance(c, AbstractForceCoupling)}
+
+
+def films_in(mechanism: Mechanism) -> dict[str, AbstractJointLoad]:
+    """The loads that fill gaps of joints, by name."""
+    joints = {name: mechanism.connections[name].joint for name in mechanism.topology.clearances}
+    joints |= rubbing_in(mechanism.connections)
+    gaps = {name: joint.gap_load(name) for name, joint in joints.items()}
+    return {film_of(name): load for name, load in gaps.items() if load is not None}
 
 
 def motor_ends(mechanism: Mechanism) -> dict[str, MotorEnd]:

@@ -1,9 +1,10 @@
 """The form of a function's arguments as a text that every process writes alike: what decides which
 program they are compiled to.
 
-Told are trees, node by node, and what nodes hold that are no numbers: texts, whole numbers, classes
-and functions of this package and of the libraries under it. A tree with anything else in it (a
-function or a class of a user, whose code no name tells) has no such text: `Untold` is raised.
+Trees are written node by node, with what nodes hold that are no numbers: texts, whole numbers,
+classes and functions of this package and of the libraries under it by their names, functions and
+classes of a user by what they do (`ground.description`). `Untold` is raised where that cannot be
+seen: a function of a user reads files or the surroundings while it is traced.
 """
 
 import enum
@@ -20,6 +21,8 @@ from typing import Any
 import jax
 import numpy as np
 
+from jaxclear.ground.description import LIBRARIES as FOLDERS
+from jaxclear.ground.description import Description
 from jaxclear.native import object_code, source_check
 
 # What is told by its name: its version is told beside it.
@@ -27,6 +30,9 @@ LIBRARIES = ("jax", "jaxlib", "numpy", "equinox", "diffrax", "optimistix", "line
 TRUSTED = ("jaxclear", "builtins", *LIBRARIES)
 # How the names of variables begin that say how programs are compiled.
 VARIABLES = ("JAXCLEAR_PLAIN", "XLA_", "JAX_")
+# A user's function that names one of these may give something else although its code is the same.
+READING = {"open", "read", "read_text", "read_bytes", "read_csv", "load", "loadtxt", "genfromtxt"}
+READING |= {"fromfile", "memmap", "urlopen", "environ", "getenv", "random", "default_rng"}
 # Settings of JAX that no program hangs on have one of these in their names.
 IGNORED = ("cache", "log", "explain", "traceback", "dump")
 
@@ -82,27 +88,50 @@ def in_text(thing: Any) -> str:
     if not getattr(thing, "__dict__", True) or type(thing).__module__.startswith("equinox."):
         # One of a kind, that holds nothing.
         return _named(type(thing))
-    raise Untold(type(thing).__name__)
+    return _written(thing)
 
 
 def function_in_text(function: Callable) -> str:
-    """A function of a module, by the name under which it, or what is made of it, is there."""
-    name = _named(function)
-    module, path = name.split(":")
-    resolved: Any = sys.modules.get(module)
-    for part in path.split("."):
-        resolved = getattr(resolved, part, None)
-    if resolved is not function and getattr(resolved, "__wrapped__", None) is not function:
-        raise Untold(name)
-    return name
+    """A function: of a library by the name under which it, or what is made of it, is there; another
+    by what it does. Raises `Untold`."""
+    if _is_trusted(function):
+        name = _named(function)
+        module, path = name.split(":")
+        resolved: Any = sys.modules.get(module)
+        for part in path.split("."):
+            resolved = getattr(resolved, part, None)
+        if resolved is function or getattr(resolved, "__wrapped__", None) is function:
+            return name
+    return _written(function)
 
 
 def _named(thing: Any) -> str:
-    """The name of a class or function of a library."""
+    """The name of a class or function of a library; what one of a user does. Raises `Untold`."""
+    if _is_trusted(thing):
+        return f"{thing.__module__}:{thing.__qualname__}"
+    return _written(thing)
+
+
+def _is_trusted(thing: Any) -> bool:
+    """Whether a class or function of a library is found by its name."""
     module, name = getattr(thing, "__module__", None), getattr(thing, "__qualname__", "<")
-    if not isinstance(module, str) or module.partition(".")[0] not in TRUSTED or "<" in name:
-        raise Untold(name)
-    return f"{module}:{name}"
+    return isinstance(module, str) and module.partition(".")[0] in TRUSTED and "<" not in name
+
+
+def _written(thing: Any) -> str:
+    """A thing that is a user's by what it does and holds. Raises `Untold` where that may hang on
+    what no text shows."""
+    description = Description()
+    description.add(thing, "")
+    if hidden := description.opaque | (description.names & READING):
+        raise Untold(f"{type(thing).__name__}: {', '.join(sorted(hidden))}")
+    return f"{sorted(description.texts.items())}{_distributions()}"
+
+
+@functools.cache
+def _distributions() -> list[str]:
+    """What is installed, with versions: the names of folders that tell them."""
+    return sorted(path.name for folder in FOLDERS for path in folder.glob("*.dist-info"))
 
 
 def _array(values: np.ndarray) -> str:

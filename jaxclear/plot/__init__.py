@@ -9,6 +9,7 @@ from jaxclear.plot.drawing import drawing as drawing
 from jaxclear.plot.identification import identification as identification
 from jaxclear.plot.identification import remaining_life as remaining_life
 from jaxclear.plot.life import design as design
+from jaxclear.plot.life import largest as largest
 from jaxclear.plot.life import pareto_front as pareto_front
 from jaxclear.plot.life import steady_cycle as steady_cycle
 from jaxclear.plot.life import wear_life as wear_life

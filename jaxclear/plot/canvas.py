@@ -100,7 +100,8 @@ class Panels(NamedTuple):
             last = self.axes.flat[-1]
             place = {"transform": last.transAxes, "va": "bottom", "fontsize": 0.8 * LETTERS}
             # A panel in space has a depth besides.
-            last.text(0.01, 0.01, *([0.0] if last.name == "3d" else []), text, color="C3", **place)
+            depth = [0.0] if last.name == "3d" else []
+            last.text(0.01, 0.01, *depth, text, color=_caption_colour(sentences), **place)
         return self.one if self.axes.size == 1 else self.axes
 
 
@@ -180,8 +181,19 @@ def captioned(figure: Figure, sentences: Sequence[str] = ()) -> Figure:
     space = (0.0, below / lines_of_all, 1.0, 1.0 - below / lines_of_all)
     figure.set_layout_engine("constrained", rect=space)
     text = "\n".join(lines)
-    figure.text(0.01, 0.5 * LINE / lines_of_all, text, fontsize=LETTERS, color="C3", va="bottom")
+    look: Any = {"fontsize": LETTERS, "color": _caption_colour(sentences), "va": "bottom"}
+    figure.text(0.01, 0.5 * LINE / lines_of_all, text, **look)
     return figure
+
+
+def _caption_colour(sentences: Sequence[str]) -> str:
+    """Red if a sentence is a warning; notes are grey."""
+    return "C3" if any(sentence.startswith(WARNING) for sentence in sentences) else "0.35"
+
+
+def as_warnings(sentences: Iterable[str], name: str = "") -> list[str]:
+    """Sentences marked as warnings, those of a run called `name`, if it has a name."""
+    return [f"{WARNING}{f' ({name})' if name else ''}: {sentence}" for sentence in sentences]
 
 
 def _lines(sentences: Sequence[str], width: int) -> list[str]:
@@ -200,11 +212,8 @@ def _lines(sentences: Sequence[str], width: int) -> list[str]:
 def warned(figure: Figure | Panels, runs: Mapping[str, Trajectory]) -> Any:
     """The figure with what the runs it shows warn of below it; `runs` by what they are called
     ("" where there is one)."""
-    sentences = [
-        f"Warning{f' ({name})' if name else ''}: {sentence}"
-        for name, run in runs.items()
-        for sentence in run.warnings
-    ]
+    sentences = [line for name, run in runs.items() for line in as_warnings(run.warnings, name)]
+    sentences += [note for run in runs.values() for note in run.verification.notes]
     return figure.done(sentences) if isinstance(figure, Panels) else captioned(figure, sentences)
 
 
@@ -235,6 +244,8 @@ def volume(values: np.ndarray) -> tuple[float, str]:
     return 1e9 * factor, unit
 
 
+# How a sentence below a figure begins if a number shown is beyond its tolerance.
+WARNING = "Warning"
 # The most ticks of an axis, and of a logarithmic one.
 MOST_TICKS, MOST_DECADES = 9, 6
 # A label stands this many of its heights from the next one, above it and beside it; a digit is so

@@ -12,7 +12,7 @@ import numpy as np
 
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import expect
-from jaxclear.plot.canvas import Roomy, key, panels, readable
+from jaxclear.plot.canvas import Roomy, as_warnings, key, panels, readable
 from jaxclear.studies.identification.remaining_life import RemainingLife
 from jaxclear.studies.identification.result import IDENTIFIED, Evidence, Identified, prior_quantiles
 
@@ -56,7 +56,7 @@ def identification(result: Identified, *, ax: Any = None) -> Any:
         draw(axis)
     count = sum(u.verdict == IDENTIFIED for u in result.unknowns)
     sheet.title(f"{count} of {len(result.unknowns)} unknowns identified, from {result.runs} runs")
-    return sheet.done(result.warned)
+    return sheet.done(as_warnings(result.warned))
 
 
 @answering
@@ -95,7 +95,7 @@ def remaining_life(result: RemainingLife, *, ax: Any = None) -> Any:
     axis.set_ylabel(f"{result.name} [{unit}]")
     key(axis)
     sheet.title(result.sentence())
-    return sheet.done([f"Warning: {one}" for one in result.warnings])
+    return sheet.done(as_warnings(result.warnings))
 
 
 def _panels(result: Identified) -> list[Callable[[Any], None]]:

@@ -2,6 +2,7 @@
 lives differ; what a design chose, how the limits stand, how the search went; and a front.
 """
 
+import textwrap
 from collections.abc import Sequence
 from typing import Any
 
@@ -9,7 +10,8 @@ import numpy as np
 
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import expect
-from jaxclear.plot.canvas import Roomy, key, panels, readable, volume
+from jaxclear.plot.canvas import ROW, Roomy, as_warnings, key, panels, readable, volume
+from jaxclear.studies.design.largest import Largest
 from jaxclear.studies.design.result import Design
 from jaxclear.studies.life.result import CONFIDENCE, DEPTH, VOLUME, WearLife
 from jaxclear.studies.life.steady_cycle import SteadyCycle
@@ -54,7 +56,7 @@ def steady_cycle(result: SteadyCycle, *, ax: Any = None) -> Any:
         axis.set_xlabel("cycle [1]")
         axis.xaxis.set_major_locator(Roomy(integers=True))
     sheet.title(result.sentence().partition(": ")[0] + ".")
-    return sheet.done([f"Warning: {one}" for one in result.warnings])
+    return sheet.done(as_warnings(result.warnings))
 
 
 @answering
@@ -133,7 +135,7 @@ def wear_life(life: WearLife, *, ax: Any = None) -> Any:
     short = f"{life.cycles[-1]:.4g} cycles of machine life from {life.simulated} simulated ones"
     sheet.title(short)
     notes = [f"Ended early: {life.ended}"] if life.ended else []
-    return sheet.done([*notes, *(f"Warning: {one}" for one in life.warnings)])
+    return sheet.done([*as_warnings(life.warnings), *notes])
 
 
 def _worn(axis: Any, life: WearLife, kind: str) -> None:
@@ -250,6 +252,42 @@ def _history(axis: Any, result: Design) -> None:
     axis.set_ylabel("cost")
     if holds.any():
         key(axis)
+
+
+@answering
+def largest(result: Largest, *, ax: Any = None) -> Any:
+    """The limited number over the mean of the variable, with 95 % errors and the bound.
+
+    Trials that keep the limit are filled, the others hollow.
+
+    Args:
+        result: a `Largest`, as `jaxclear.largest` returns it.
+        ax: `matplotlib.axes.Axes` to draw in; by default a new figure.
+
+    Returns:
+        The figure, or the axes that were given.
+
+    Raises:
+        ValueError: if `result` is something else.
+    """
+    expect(result, Largest, "the result", "what jaxclear.largest returns")
+    sheet = panels("largest", ax, 1, 1, (6.0, 3.8))
+    values, numbers, errors = (
+        np.array([getattr(trial, part) for trial in result.trials])
+        for part in ("value", "number", "error")
+    )
+    along, unit = readable(values, result.units[0])
+    factor, unit_of_number = readable([*numbers, float(result.limit.bound())], result.units[1])
+    for trial, x, y, error in zip(
+        result.trials, along * values, factor * numbers, factor * errors, strict=True
+    ):
+        fill = "C0" if trial.excess <= 0 else "none"
+        sheet.one.errorbar(x, y, error, fmt="o", color="C0", mfc=fill, capsize=3)
+    sheet.one.axhline(factor * float(result.limit.bound()), color="k", lw=1.0, ls="--")
+    sheet.one.set_xlabel(f"{result.variable} [{unit}]")
+    words = f"{result.limit.words()} [{unit_of_number}]"
+    sheet.one.set_ylabel(textwrap.fill(words, ROW))
+    return sheet.done([result.sentence()])
 
 
 @answering

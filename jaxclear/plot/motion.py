@@ -12,6 +12,7 @@ from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_name, check_number, expect
 from jaxclear.plot.canvas import (
     MILLI,
+    as_warnings,
     check_run,
     key,
     over_time,
@@ -405,4 +406,4 @@ def pointing_budget(error: PointingError, *, ax: Any = None) -> Any:
     axes[1][0].set_xlabel("time [s]")
     sheet.legend()
     sheet.title(f'Error of the tip on "{error.tip}" seen from "{error.base}"')
-    return sheet.done([f"Warning: {sentence}" for sentence in error.warnings])
+    return sheet.done(as_warnings(error.warnings))

@@ -11,7 +11,7 @@ from jaxclear.ground.arguments import expect
 from jaxclear.ground.wording import described, listed
 from jaxclear.plot.canvas import check_run, key, panels, readable, warned
 from jaxclear.plot.identification import identification, remaining_life
-from jaxclear.plot.life import design, steady_cycle, wear_life, wear_life_sample
+from jaxclear.plot.life import design, largest, steady_cycle, wear_life, wear_life_sample
 from jaxclear.plot.motion import pointing_budget
 from jaxclear.plot.signal import reached
 from jaxclear.plot.studies import (
@@ -33,6 +33,7 @@ from jaxclear.results.response import PeakContactForce
 from jaxclear.results.trajectory import Trajectory
 from jaxclear.statics.positions import Positions
 from jaxclear.studies.advice import Advice
+from jaxclear.studies.design.largest import Largest
 from jaxclear.studies.design.result import Design
 from jaxclear.studies.fidelity.result import MultiFidelity
 from jaxclear.studies.identification.remaining_life import RemainingLife
@@ -75,17 +76,21 @@ def overview(run: Trajectory, *, ax: Any = None) -> Any:
     places, turns, forces = sheet.axes.flat
     mask = reached(run, -np.inf)
     time = np.asarray(run.time)[mask]
-    distances = {}
+    distances, spins = {}, {}
     for name in wholes(run.mechanism.bodies):
         motion = run.body(name)
         com = np.asarray(motion.com)[mask]
         distances[name] = np.linalg.norm(com - com[0], axis=1)
-        turns.plot(time, np.linalg.norm(np.asarray(motion.spin)[mask], axis=1), lw=1.0, label=name)
+        spins[name] = np.asarray(motion.spin)[mask]
     factor, unit = readable(np.concatenate(list(distances.values())), "m")
     for name, distance in distances.items():
         places.plot(time, factor * distance, lw=1.0, label=name)
     places.set_ylabel(f"displacement from the start [{unit}]")
-    turns.set_ylabel("angular velocity [rad/s]")
+    about_z = all(np.all(spin[:, :2] == 0.0) for spin in spins.values())
+    for name, spin in spins.items():
+        rate = spin[:, 2] if about_z else np.linalg.norm(spin, axis=1)
+        turns.plot(time, rate, lw=1.0, label=name)
+    turns.set_ylabel(f"angular {'velocity' if about_z else 'speed'} [rad/s]")
     draw_forces(forces, run, *run.formulation.contact_joints(run.mechanism))
     forces.set_xlabel("time [s]")
     key(places)
@@ -112,6 +117,10 @@ def draw_forces(axis: Any, run: Trajectory, *joints: str) -> None:
         axis.plot(np.asarray(run.time)[mask], factor * force, label=name, **how)
         label = f"largest of a contact in all steps, {factor * peak:.4g} {unit}"
         axis.axhline(factor * peak, ls=":", label=label, **how)
+    # A peak between saved instants may be a hundred times as high: its line then lies outside.
+    highest = max((factor * force.max() for force in saved), default=0.0)
+    if highest > 0:
+        axis.set_ylim(top=1.1 * highest)
     axis.set_ylabel(f"normal force [{unit}]")
 
 
@@ -168,6 +177,7 @@ FIGURES: dict[type, Callable] = {
     CorrectedStatistics: corrected_statistics,
     Design: design,
     Identified: identification,
+    Largest: largest,
     MonteCarlo: monte_carlo,
     MultiFidelity: multi_fidelity,
     PointingError: pointing_budget,

@@ -14,7 +14,7 @@ import numpy as np
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_name, expect
 from jaxclear.ground.printing import as_typed
-from jaxclear.plot.canvas import Roomy, key, panels, readable
+from jaxclear.plot.canvas import Roomy, as_warnings, key, panels, readable
 from jaxclear.studies.advice import PRESENT, Advice
 from jaxclear.studies.fidelity.result import MultiFidelity
 from jaxclear.studies.monte_carlo import MonteCarlo
@@ -82,14 +82,14 @@ def _warned_samples(study: MonteCarlo) -> list[str]:
     """How many samples warn, and what the means are without them."""
     if not len(study.warned) and not study.accuracy_warnings:
         return []
-    sentences = [*study.accuracy_warnings] or [study.sentence()]
+    sentences = as_warnings(study.accuracy_warnings or [study.sentence()])
     for row in study.summary().to_dict("records"):
         if row["warned"]:
             values = study.responses[row["response"]]
             factor, unit = readable(values[np.isfinite(values)], row["unit"])
             means = (
                 f"the mean is {factor * row['mean']:.4g} with them, "
-                f"{factor * row['mean without warned']:.4g} without [{unit}]."
+                f"{factor * row['mean, samples without warnings']:.4g} without [{unit}]."
             )
             if row.get("infinite"):
                 means = f"there is no mean, infinite in {row['infinite']} samples."
@@ -193,7 +193,7 @@ def sweep(study: Sweep, *, ax: Any = None) -> Any:
         axis.set_ylabel(f"{name} [{unit}]")
         if other:
             key(axis, title=textwrap.fill(names[1], IN_LEGEND))
-    return sheet.done([*study.warnings])
+    return sheet.done(as_warnings(study.warnings))
 
 
 @answering
@@ -247,7 +247,7 @@ def work_precision(advice: Advice, *, ax: Any = None) -> Any:
     axis.set_ylabel("largest estimated error of a response [1]")
     sheet.title(f"Recommended: {as_typed(advice.recommended)}")
     sheet.legend()
-    return sheet.done(advice.warnings())
+    return sheet.done(as_warnings(advice.warnings()))
 
 
 WIDE = 4.4
@@ -411,7 +411,7 @@ def screening(study: Screening, *, ax: Any = None) -> Any:
     expect(study, Screening, "the study", "what jaxclear.screening returns")
     kinds = {"mu*": study.mu_star, "sigma": study.sigma}
     labels = "elementary effect on", "Screening", True
-    return _by_variable("screening", study, kinds, ax, *labels).done([*study.warnings])
+    return _by_variable("screening", study, kinds, ax, *labels).done(as_warnings(study.warnings))
 
 
 @answering

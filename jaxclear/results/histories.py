@@ -32,10 +32,10 @@ from jaxclear.ground.warning import warn
 from jaxclear.ground.wording import public_name
 from jaxclear.multibody import constraints, dynamics, kinematics, tree
 from jaxclear.multibody.dynamics import Solution
-from jaxclear.multibody.forces import Forces
+from jaxclear.multibody.forces import Forces, load_rows
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.rows import forces_on_drives, wrench_in_joint
-from jaxclear.multibody.system import System
+from jaxclear.multibody.system import System, films_in
 from jaxclear.results.state_history import StateHistory, check_name, columns, over_time
 
 # Vectors of a clearance joint and numbers of each of its contacts.
@@ -363,7 +363,7 @@ def reaction(history: StateHistory, name: str) -> ReactionHistory:
         for n, coupling in couplings.items()
         if isinstance(coupling, AbstractBodyCoupling) and coupling.motor is None
     ]
-    loads = history.mechanism.loads.items()
+    loads = (history.mechanism.loads | films_in(history.mechanism)).items()
     in_joints = [n for n, load in loads if isinstance(load, AbstractJointLoad)]
     check_name(name, [*history.mechanism.connections, *meshing, *in_joints], "joint")
     kind = "coupling" if name in couplings else "joint"
@@ -405,6 +405,17 @@ def _reaction(history, name):
         return _in_ground(now, closures[name], forces.rows, name)
 
     return ReactionHistory(*map(columns, over_time(history, one)))
+
+
+@eqx.filter_jit
+def load_loss(history: StateHistory, name: str) -> Any:
+    """Power [W] that a load takes, shape (time,)."""
+
+    def one(now):
+        place = now.model.system, now.motions, name, now.time, now.followed
+        return (load_rows(*place)[0].dissipated,)
+
+    return over_time(history, one)[0]
 
 
 def _branch_reaction(now, forces, solution, name):

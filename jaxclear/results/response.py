@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxclear.components.body import GROUND, Marker
+from jaxclear.components.journal_film import film_of
 from jaxclear.ground.argument_errors import nothing_else
 from jaxclear.ground.arguments import check_name
 from jaxclear.ground.numerics import safe_sqrt
@@ -28,14 +29,16 @@ from jaxclear.ground.quantity import (
     with_fields,
 )
 from jaxclear.ground.wording import described
-from jaxclear.multibody.system import wearing_in
+from jaxclear.multibody.system import films_in, wearing_in
 from jaxclear.multibody.topology import coordinate_units, turns
 from jaxclear.multibody.transmissions import torque_on_flanks
+from jaxclear.results import histories
 from jaxclear.results.pointing_error import checked_through, checked_tip, tip_errors
 from jaxclear.results.trajectory import Trajectory
 
 __all__ = [
     "AbstractResponse",
+    "FilmFriction",
     "FinalCoordinate",
     "FromFunction",
     "LargestDeflection",
@@ -47,6 +50,7 @@ __all__ = [
     "PeakWornDepth",
     "PointingAngle",
     "PositionError",
+    "ThinnestFilm",
     "WornVolume",
     "depends_on",
     "unit_of",
@@ -430,6 +434,60 @@ class LostMotion(AbstractResponse):
     def __call__(self, run):
         back = run.reversed.coordinate(self.joint)
         return jnp.max(jnp.abs(run.coordinate(self.joint) - back))
+
+
+class ThinnestFilm(AbstractResponse):
+    """Least film thickness of a journal bearing at the saving times of a run [m]: the clearance
+    less the eccentricity, below zero where the parts overlap.
+
+    Args:
+        joint: name of the joint, which has a film.
+        unit: unit of the number, "m".
+    """
+
+    joint: str = eqx.field(static=True)
+    unit: str = eqx.field(static=True, default="m", kw_only=True)
+
+    def drawn_from(self):
+        return "places in gaps"
+
+    def __call__(self, run):
+        film = film_in(run, self.joint)
+        offset = run.contact(self.joint).offset[:, :2]
+        return film.clearance - safe_sqrt(jnp.max(jnp.sum(offset * offset, axis=-1)))
+
+
+class FilmFriction(AbstractResponse):
+    """Mean power that a film takes from the motion over a run [W], by shear and squeeze; where the
+    motion is the ideal one (`NonColliding`) by its torque alone.
+
+    Args:
+        joint: name of the joint, which has a film.
+        unit: unit of the number, "W".
+    """
+
+    joint: str = eqx.field(static=True)
+    unit: str = eqx.field(static=True, default="W", kw_only=True)
+
+    def drawn_from(self):
+        return "forces"
+
+    def __call__(self, run):
+        film_in(run, self.joint)
+        power = histories.load_loss(run.history, film_of(self.joint))
+        return jnp.trapezoid(power, run.time) / (run.time[-1] - run.time[0])
+
+
+def film_in(run: Trajectory, name: str) -> Any:
+    """The film of a joint. Raises `ValueError` for a joint that has none."""
+    check_name("joint", name, run.mechanism.connections, " in this mechanism")
+    film = films_in(run.mechanism).get(film_of(name))
+    if film is None:
+        raise ValueError(
+            f'joint "{name}" has no film; give a PlanarJournalBearing one, '
+            "film=jaxclear.film.Reynolds(viscosity=...)."
+        )
+    return film
 
 
 class MeanContactForce(AbstractResponse):

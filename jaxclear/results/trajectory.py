@@ -300,6 +300,21 @@ class Trajectory(AbstractShown):
             )
         return self.assembly_warnings + (self.invariants.before_the_end or self.invariants.warnings)
 
+    @property
+    @on_numbers
+    def notes(self) -> tuple[str, ...]:
+        """Remarks about the run, a sentence each, that leave its numbers right.
+
+        They are about loops with more constraints than needed, singular positions that the run
+        passed as inertia requires, and from when on a path in gaps is chaotic.
+        """
+        self.history.check_single()
+        topology = self.mechanism.topology
+        remarks = [f"The loops are {topology.redundancy}"] if topology.overconstrained else []
+        if self.succeeded:
+            remarks += in_sentences(tuple(one for one in self.singular_positions if one.passed))
+        return *remarks, *self.verification.notes
+
     def estimate(self, response: Callable[["Trajectory"], Any]) -> Estimate:
         """The value of a response with its numerical error.
 
@@ -330,11 +345,7 @@ class Trajectory(AbstractShown):
             return f"A batch of {many} runs, of which {ended} reached their end; run[i] is one."
         steps = f"{int(self.accepted_steps)} steps, {len(self.time)} saved instants"
         lines = [self.result, f"{float(constant(self.ended)):.6g} s in {steps}."]
-        topology = self.mechanism.topology
-        remarks = [f"The loops are {topology.redundancy}"] if topology.overconstrained else []
-        if self.succeeded:
-            remarks += in_sentences(tuple(one for one in self.singular_positions if one.passed))
-        return *lines, *self.verification._parts(), *remarks
+        return *lines, *self.verification._parts(), *self.notes
 
     def state_names(self) -> list[str]:
         """Names of the columns of `states`.

@@ -17,6 +17,9 @@ from jaxclear.ground.quantity import is_traced
 from jaxclear.ground.table import as_table
 from jaxclear.ground.wording import described
 
+# Of the tables of standard answers.
+TABLE_COLUMNS = ["quantity", "value", "error", "unit", "relative error", "tolerance"]
+
 
 @with_text_repr
 class Estimate(AbstractShown):
@@ -83,6 +86,11 @@ class AbstractVerification(AbstractShown):
 
     @property
     @abstractmethod
+    def notes(self) -> tuple[str, ...]:
+        """Sentences about numbers that are right, or that the run does not claim."""
+
+    @property
+    @abstractmethod
     def beyond(self) -> frozenset[str]:
         """The fields of `Promise` that some answer exceeds."""
 
@@ -103,8 +111,8 @@ class AbstractVerification(AbstractShown):
         """A table of the standard answers.
 
         Returns:
-            A pandas table: value, error, unit, the error as a share, and the tolerance for that
-            share.
+            A pandas table: quantity, value, error, unit, relative error [1], and the tolerance of
+            the relative error [1].
         """
 
     @abstractmethod
@@ -135,6 +143,10 @@ class Unverified(AbstractVerification):
         return (f"Not verified: {self.why}.",) if self.warns else ()
 
     @property
+    def notes(self):
+        return ()
+
+    @property
     def beyond(self):
         return frozenset()
 
@@ -142,7 +154,7 @@ class Unverified(AbstractVerification):
         return Estimate(response(run), math.nan, f"not verified: {self.why}")
 
     def table(self):
-        return as_table(columns=["answer", "value", "error", "unit", "share", "promised"])
+        return as_table(columns=TABLE_COLUMNS)
 
     def attributes(self):
         return {"verification": str(self)}

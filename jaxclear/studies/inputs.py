@@ -17,7 +17,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxclear.ground import array_functions as xp
 from jaxclear.ground.arguments import check_name, check_number
+from jaxclear.ground.array_functions import on_host
 from jaxclear.ground.quantity import is_traced
 from jaxclear.ground.wording import described
 from jaxclear.studies.distribution import AbstractDistribution, AbstractJointDistribution
@@ -52,22 +54,30 @@ class Inputs(eqx.Module):
         """Whether no two variables are correlated."""
         return self.correlation is None
 
-    def values(self, normal: Float[Array, "... variables"]) -> Float[Array, "... variables"]:
+    def values(
+        self, normal: Float[Array | np.ndarray, "... variables"]
+    ) -> Float[Array, "... variables"]:
         """Values of the variables from independent standard normal numbers [1]."""
         return self.of_scores(self.scores(normal))
 
-    def normal(self, values: Float[Array, "... variables"]) -> Float[Array, "... variables"]:
+    def normal(
+        self, values: Float[Array | np.ndarray, "... variables"]
+    ) -> Float[Array, "... variables"]:
         """Independent standard normal numbers [1] that give these values; for a discrete variable
         the middle of what gives its value."""
         deviations = (values - self.nominal) / self.widths
         scores = self._each(deviations, "score", "scores")
         return scores if self.inverse_root is None else scores @ self.inverse_root.T
 
-    def scores(self, normal: Float[Array, "... variables"]) -> Float[Array, "... variables"]:
+    def scores(
+        self, normal: Float[Array | np.ndarray, "... variables"]
+    ) -> Float[Array | np.ndarray, "... variables"]:
         """Correlated standard normal scores [1] from independent ones."""
         return normal if self.root is None else normal @ self.root.T
 
-    def of_scores(self, scores: Float[Array, "... variables"]) -> Float[Array, "... variables"]:
+    def of_scores(
+        self, scores: Float[Array | np.ndarray, "... variables"]
+    ) -> Float[Array, "... variables"]:
         """Values of the variables from their own scores [1]."""
         return self.nominal + self.widths * self._each(scores, "of_score", "of_scores")
 
@@ -81,11 +91,11 @@ class Inputs(eqx.Module):
         for i, distribution in enumerate(self.distributions):
             if i not in parts:
                 parts[i] = getattr(distribution, alone)(numbers[..., i])
-        return jnp.stack([parts[i] for i in range(len(parts))], axis=-1)
+        return xp.stack([parts[i] for i in range(len(parts))], axis=-1)
 
     def deviations(self) -> Float[Array, " variables"]:
         """Standard deviation of each variable [its unit]."""
-        return self.widths * jnp.stack([jnp.asarray(d.deviation()) for d in self.distributions])
+        return self.widths * xp.stack([d.deviation() for d in self.distributions])
 
 
 def joint(
@@ -103,18 +113,11 @@ def joint(
     root = inverse = None
     if correlation is not None:
         library = jnp if is_traced(correlation) else np
-        lower = library.linalg.cholesky(correlation)
-        root, inverse = jnp.asarray(lower), jnp.asarray(library.linalg.inv(lower))
-    return Inputs(
-        tuple(names),
-        tuple(alone),
-        jnp.asarray(nominal),
-        jnp.ones(len(names)),
-        correlation,
-        root,
-        inverse,
-        tuple(joints),
-    )
+        root = library.linalg.cholesky(correlation)
+        inverse = library.linalg.inv(root)
+    widths, matrices = np.ones(len(names)), (correlation, root, inverse)
+    numbers = on_host((tuple(alone), jnp.asarray(nominal), widths, *matrices, tuple(joints)))
+    return Inputs(tuple(names), *numbers)
 
 
 def correlation_matrix(

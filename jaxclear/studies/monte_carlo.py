@@ -283,8 +283,8 @@ class MonteCarlo(AbstractAnswer):
         return kind(values, group, content, confidence, side).in_unit(self._unit(response))
 
     def error_budget(self, response: str) -> dict[str, Statistic]:
-        """What each variable contributes to the variance of a response [its unit squared], and what
-        no plane through the sample explains; the parts sum to the variance."""
+        """What each variable contributes to the variance of a response [its unit squared], and the
+        remainder that is not linear in them; the parts sum to the variance."""
         responses, group = self.good(response)
         refuse_infinite(self.problem, {response: responses}, "variance")
         values = np.delete(self.values, self.failed, axis=0)

@@ -14,7 +14,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxclear.ground import array_functions as xp
 from jaxclear.ground.arguments import expect
+from jaxclear.ground.array_functions import on_host
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.printing import in_a_line, number_in_words
 from jaxclear.ground.quantity import AbstractQuantified, with_quantities
@@ -183,7 +185,7 @@ class Problem(AbstractQuantified):
         numbers = [self.variables[name].nominal_in(subject) for name in self.variable_names]
         if len(self.names) > len(numbers):
             return jnp.concatenate([jnp.atleast_1d(number) for number in numbers])
-        return jnp.stack(numbers) if numbers else jnp.zeros(0)
+        return jnp.asarray(xp.stack(on_host(numbers))) if numbers else jnp.zeros(0)
 
     def setting(self, values: Any) -> Setting:
         """The variables at these values.

@@ -146,7 +146,7 @@ def unverified(problem: Problem, replicas: Replicas | None) -> str:
     """A sentence for numbers whose numerical error nothing tells; "" for others."""
     if replicas is not None or not problem.description.discretised:
         return ""
-    return "Not verified: no replicas tell how far steps put its numbers off."
+    return "Not verified: there are no companion runs, so the error by the steps is not known."
 
 
 def _beyond(problem: Problem, replicas: Replicas, response: str) -> str:
@@ -159,8 +159,8 @@ def _beyond(problem: Problem, replicas: Replicas, response: str) -> str:
         return ""
     unit = "" if info.unit == "1" else f" {info.unit}"
     return (
-        f'"{response}": steps put its mean {bias:+.2g}{unit} off, beyond the {promised:.2g}{unit} '
-        f"that are promised; {info.remedy}."
+        f'"{response}": the steps change its mean by {bias:+.2g}{unit}, more than the tolerance of '
+        f"{promised:.2g}{unit}; {info.remedy}."
     )
 
 

@@ -16,6 +16,7 @@ from jaxtyping import Array, Float
 
 from jaxclear.errors.observables import GAPS
 from jaxclear.errors.verification import refine_times, replica
+from jaxclear.ground.compiling import by_form
 from jaxclear.ground.printing import part_in_words
 from jaxclear.ground.quantity import on_device
 from jaxclear.integrators import AbstractIntegrator, FixedStep, MoreauJean, Outcome
@@ -37,7 +38,7 @@ from jaxclear.multibody.state import lay_out
 from jaxclear.multibody.system import longest_arm, prepare, wear_maps
 from jaxclear.multibody.topology import Redundancy
 from jaxclear.native import has_kernels
-from jaxclear.native.compiled import compiled_for_kernels
+from jaxclear.native.compiled import compiled_for_kernels, compiled_quickly
 from jaxclear.results.response import depends_on, needs_of, unit_of
 from jaxclear.results.state_history import State
 from jaxclear.results.trajectory import Trajectory
@@ -250,9 +251,9 @@ class RunExperiment(AbstractExperiment):
             self.integrator.formulation.seen(loosened(self.mechanism, self.determined)),
             self.redundancy,
         )
-        modelled, counting = prepare(mechanism), self.integrator
-        if modelled.bearings:
-            counting = counting.counting_in(narrowest_gap(modelled), longest_arm(modelled))
+        counting = self.integrator
+        if mechanism.topology.clearances:
+            counting = counting.counting_in(*_gap_and_arm(mechanism))
         how = replica(counting, self._times(), share)
         if how is None:
             return None
@@ -266,11 +267,8 @@ class RunExperiment(AbstractExperiment):
 
     def cost(self):
         # Saved states and worn surfaces.
-        system = prepare(self.mechanism)
-        cells = sum(
-            math.prod(m.cells) for maps in wear_maps(system).values() for m, _ in maps.values()
-        )
-        states = len(self.shares) * (HISTORY_FACTOR * lay_out(system).size)
+        size, cells = _sizes(self.mechanism)
+        states = len(self.shares) * (HISTORY_FACTOR * size)
         memory = 8 * (states + 8 * cells)
         batch = LARGEST_CHUNK.get(jax.default_backend())
         if batch is None:
@@ -333,6 +331,21 @@ class RunExperiment(AbstractExperiment):
 
     def _load_steps(self) -> LoadSteps:
         return load_steps(self.mechanism, self.integrator, self._times())
+
+
+@by_form
+def _sizes(mechanism: Mechanism) -> tuple[int, int]:
+    """How many numbers a state of a mechanism has, and how many cells its surfaces that wear."""
+    system = prepare(mechanism)
+    maps = [surface for maps in wear_maps(system).values() for surface, _ in maps.values()]
+    return lay_out(system).size, sum(math.prod(surface.cells) for surface in maps)
+
+
+@compiled_quickly
+def _gap_and_arm(mechanism: Mechanism) -> tuple[Array, Array]:
+    """The narrowest gap and the longest arm of a mechanism [m]."""
+    system = prepare(mechanism)
+    return narrowest_gap(system), longest_arm(system)
 
 
 def _answers(experiment: RunExperiment, setting: Setting, discrete: bool) -> SampleResult:

@@ -11,14 +11,12 @@ Source: Owen 1998, ACM TOMACS 8, 71, doi:10.1145/272991.273010; L'Ecuyer, Nakaya
 2023, Winter Simulation Conference, doi:10.1109/WSC60868.2023.10408613.
 """
 
-from functools import partial
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
 from jaxclear.ground.arguments import check_count, check_name, expect
 from jaxclear.ground.precision import check_double_precision
@@ -32,11 +30,8 @@ SAMPLINGS = ("sobol", "random")
 # quarter of that of many, 1.96: that much an interval widens where points gain nothing.
 MOST_SCRAMBLINGS = 8
 # Samples whose values are computed at once, by the same operations wherever a sample is drawn:
-# a program for another number of rows rounds its last ones otherwise.
+# with another number of rows the last ones may be rounded otherwise.
 BLOCK = 1 << 12
-# The number of the sample from which on values are worth a compiled program, which takes a third
-# of the time; its last digits are its own.
-MANY = 1 << 14
 
 
 def usual_scramblings(samples: int) -> int:
@@ -139,29 +134,13 @@ def _values(inputs: Inputs, normal: np.ndarray, first: int) -> np.ndarray:
     before = first % BLOCK
     padded = np.zeros((before + rows + -(before + rows) % BLOCK, count))
     padded[before : before + rows] = normal
-    columns = [np.zeros((0, count))]
-    for number, block in enumerate(padded.reshape(-1, BLOCK, count), first // BLOCK):
-        compute = inputs.values if number * BLOCK < MANY else partial(_of_block, inputs)
-        columns.append(np.asarray(compute(jnp.asarray(block))))
-    return np.concatenate(columns)[before : before + rows]
-
-
-@eqx.filter_jit
-def _of_block(
-    inputs: Inputs, normal: Float[Array, "samples variables"]
-) -> Float[Array, "samples variables"]:
-    """Values of the variables from independent standard normal numbers [1]."""
-    return inputs.values(normal)
-
-
-@eqx.filter_jit
-def _of_each(problem, normal):
-    return jax.vmap(problem.inputs.values)(normal)
+    blocks = [np.asarray(inputs.values(block)) for block in padded.reshape(-1, BLOCK, count)]
+    return np.concatenate([padded[:0], *blocks])[before : before + rows]
 
 
 def all_values(problem: Problem, normal: np.ndarray) -> np.ndarray:
     """Values (samples, variables) that standard normal numbers (samples, variables) stand for."""
-    return np.array(_of_each(problem, jnp.asarray(normal)))
+    return np.array(problem.inputs.values(normal))
 
 
 @eqx.filter_jit

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 
 from jaxclear.ground.argument_errors import answering
@@ -110,7 +109,7 @@ def sweep(
     values = np.tile(np.asarray(problem.nominal()), (grid[0].size, 1))
     for name, axis_values in zip(axes, grid, strict=True):
         values[:, problem.names.index(name)] = axis_values.ravel()
-    result = evaluate_all(problem, jnp.asarray(values), progress_bar=progress_bar, label="sweep")
+    result = evaluate_all(problem, values, progress_bar=progress_bar, label="sweep")
     outcome, ended = np.asarray(result.outcome), np.asarray(result.ended)
     good, numbers = successes(problem, outcome, result.responses)
     shape = grid[0].shape

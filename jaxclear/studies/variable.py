@@ -8,9 +8,10 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax.scipy.special import ndtr
+import scipy.special
 
 from jaxclear.ground.arguments import check_number, expect
+from jaxclear.ground.array_functions import on_host
 from jaxclear.ground.quantity import Scalar, is_one_number, is_traced, quantity
 from jaxclear.ground.warning import warn
 from jaxclear.ground.wording import described, listed, meant
@@ -145,7 +146,7 @@ class Variable(AbstractMechanismVariable):
         for path, leaf, metadata, unit in numbers_of_parts(mechanism):
             for place in [i for i, one in enumerate(leaves) if leaf is one]:
                 distribution = marginals_of(self.distribution)[place if self.parts else 0]
-                _warn_of_cut_off(name, distribution, leaf, (path, metadata, unit))
+                _warn_of_cut_off(name, on_host(distribution), float(leaf), (path, metadata, unit))
 
     def told(self, name, subject):
         leaves = jax.tree_util.tree_leaves_with_path(subject)
@@ -333,9 +334,9 @@ def _warn_of_cut_off(name: str, distribution: Any, leaf: Any, number: tuple[str,
     )
     for words, bound, sign in (("below", low, 1), ("above", high, -1)):
         edge = LEAST_QUANTILE if sign == 1 else 1 - LEAST_QUANTILE
-        if bound is None or sign * (leaf + distribution.quantile(jnp.asarray(edge)) - bound) >= 0:
+        if bound is None or sign * (leaf + distribution.quantile(edge) - bound) >= 0:
             continue
-        part = float(ndtr(sign * distribution.score(bound - leaf)))
+        part = float(scipy.special.ndtr(sign * distribution.score(bound - leaf)))
         warn(
             f'variable "{name}": {100 * part:.2g} % of its distribution lie {words} {bound:g}{unit}'
             f", where {path} cannot be. Such samples fail, and statistics are of the others."

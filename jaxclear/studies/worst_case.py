@@ -197,7 +197,7 @@ def box(problem: Problem, sigmas: float) -> tuple[np.ndarray, np.ndarray]:
     for distribution in problem.inputs.distributions:
         cut = np.array(distribution.end_densities()) > 0
         scores = np.where(cut | (not distribution.is_continuous()), END_SCORE, sigmas)
-        ends.append(np.asarray(distribution.of_score(jnp.asarray(np.array([-1.0, 1.0]) * scores))))
+        ends.append(np.asarray(distribution.of_score(np.array([-1.0, 1.0]) * scores)))
     for first, joint in problem.inputs.joints:
         for i, distribution in enumerate(joint.marginals(), first):
             # To the last digit: the edge of a disc is its worst.

@@ -82,7 +82,7 @@ def test_whatever_is_drawn_from_a_run_has_an_error_or_why_not(name, verified):
     found = verified.estimate(response)
     assert str(found) and jax.tree.structure(found.value) == jax.tree.structure(response(verified))
     if known is True:
-        assert found.why == "twice what half steps change"
+        assert found.why == "twice the change with half the step"
         same = lambda value, error: np.shape(value) == np.shape(error) and np.all(error >= 0)
         assert all(jax.tree.leaves(jax.tree.map(same, found.value, found.error)))
     else:
@@ -169,7 +169,7 @@ def test_tolerances_as_tight_as_numbers_allow_are_not_said_to_be_without_error()
 
 def test_what_goes_on_tells_since_when_its_error_counts(verified):
     run = swing(state=verified.state(), verify=True)
-    assert run.estimate(last).why == "twice what half steps change, since 0.5 s"
+    assert run.estimate(last).why == "twice the change with half the step, since 0.5 s"
 
 
 def others(monkeypatch, second):
@@ -264,17 +264,18 @@ def test_a_run_with_replicas_is_a_tree_of_numbers(verified):
 
 def test_a_table_fits_a_screen_and_a_sentence_a_line(worn):
     lines = str(worn).splitlines()
-    table = lines[lines.index(next(line for line in lines if line.startswith("answer"))) :]
+    table = lines[lines.index(next(line for line in lines if line.startswith("quantity"))) :]
     assert max(map(len, table)) <= 80
     rows = worn.verification.table()
-    assert list(rows.answer)[-1] == 'worn depth, "B, bearing"' and (rows.error >= 0).all()
+    assert list(rows.quantity)[-1] == 'worn depth, "B, bearing"' and (rows.error >= 0).all()
     names = (("peak contact force", "peak_force", "crank pin", "N"),) * 3
     numbers, lost = np.array([[1e3, 300.0, 0.3, 0.05]] * 3), np.zeros(3, bool)
     path, begun = np.array([0.3, 0.029]), np.zeros(())
     given = (), numbers, lost, path, begun, REFERENCE, names, "take shorter steps"
-    said = Verified(*given).warnings
+    verified = Verified(*given)
+    said = [*verified.notes, *verified.warnings]
     assert len(said) == 2 and max(len(sentence.split()) for sentence in said) <= 26
-    assert said[1].endswith("(and 2 more answers); take shorter steps.")
+    assert said[1].endswith(", and 2 more answers; take shorter steps.")
 
 
 def odd():

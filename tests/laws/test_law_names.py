@@ -108,3 +108,11 @@ def test_fouvry_is_archard_at_constant_friction():
         archard.volume_rate(load, speed, mu * load),
         rtol=1e-14,
     )
+
+
+def test_a_specific_wear_rate_is_volume_per_load_and_distance():
+    """10 N over 1 km at 1e-6 mm^3/(N m): a hundredth of a cubic millimetre, of any hardness."""
+    for hardness in (2e9, 7e9):
+        law = jc.wear.Archard.from_specific_wear(1e-6, hardness)
+        assert float(law.volume_rate(10.0, 1000.0, 0.0)) == pytest.approx(0.01e-9)
+        assert float(law.hardness) == hardness

@@ -43,6 +43,11 @@ TOO_LONG = jc.limit_state.Above("sum", 3.03e-3)
 CHEAPER = problem(lambda a, b: {"sum": a + 0.9 * b, "product": a * b})
 
 
+def answered():
+    limit = jc.limit.Quantile("sum", at_most=3.05e-3, share=0.95)
+    return jc.largest(problem(), "a", limit, (1e-3, 3e-3), accuracy=0.1)
+
+
 # A result of each kind that a function of dimensions gives.
 STUDIES = {
     "Identified": lambda folder: identified(problem()),
@@ -63,6 +68,7 @@ STUDIES = {
     ),
     "Reliability": lambda folder: jc.reliability(problem(), TOO_LONG),
     "Design": lambda folder: sized(),
+    "Largest": lambda folder: answered(),
     "MultiFidelity": lambda folder: jc.multi_fidelity(problem(), CHEAPER, 256),
 }
 
@@ -231,3 +237,17 @@ def test_a_result_of_runs_is_drawn_and_kept(run, kind, tmp_path):
     assert type(found).__name__ == kind
     check_figure(found)
     check_kept(found, tmp_path)
+
+
+def test_a_run_in_the_plane_shows_signed_rates_and_forces_that_a_peak_does_not_flatten():
+    """The rod of a slider-crank swings to and fro; impacts are a hundred times the mean force."""
+    run = jc.simulate(jc.scenes.slider_crank(), 0.126, save=201, verify=False)
+    _, turns, forces = plot.result(run).axes
+    lines = {line.get_label(): line.get_ydata() for line in turns.lines}
+    np.testing.assert_allclose(lines["rod"], run.body("rod").spin[:, 2])
+    assert (
+        lines["rod"].min() < 0 < lines["rod"].max()
+        and turns.get_ylabel()[:16] == "angular velocity"
+    )
+    saved = np.asarray(run.contact("B").normal_force).max()
+    assert forces.get_ylim()[1] == pytest.approx(1.1 * saved, rel=1e-6)

@@ -264,7 +264,7 @@ def advised():
 
 
 SUNK = jc.limit_state.Above(FORCE, 1.23e6)
-VERDICT = "Agreed by pathwise and regression with a surface; not by differences. "
+VERDICT = "From pathwise, confirmed by regression with a surface. Not confirmed by differences. "
 
 
 def drawn():
@@ -288,6 +288,16 @@ CASES = {
         )
     ],
     "design": [lambda: plot.design(designed())],
+    "largest": [
+        lambda: plot.largest(
+            jc.largest(
+                problem(),
+                problem().names[0],
+                jc.limit.Quantile(problem().response_names[0], at_most=1e6, share=0.95),
+                (1e-4, 3e-4),
+            )
+        )
+    ],
     "pareto_front": [lambda: plot.pareto_front([designed(), designed(2.0)])],
     "displacement": [
         lambda: plot.displacement(

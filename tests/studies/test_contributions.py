@@ -187,7 +187,7 @@ def test_indices_of_correlated_variables_are_refused():
     budget = jc.monte_carlo(both, 1024).error_budget("response")
     # Var(x + y) = 3, of which each has half.
     assert budget["x"].value == pytest.approx(1.5, rel=0.02)
-    assert budget["what no plane explains"].value == pytest.approx(0.0, abs=1e-12)
+    assert budget["remainder (not linear)"].value == pytest.approx(0.0, abs=1e-12)
 
 
 def test_an_error_budget_adds_up_and_names_what_no_plane_explains():
@@ -198,7 +198,7 @@ def test_an_error_budget_adds_up_and_names_what_no_plane_explains():
     budget = study.error_budget("response")
     total = sum(part.value for part in budget.values())
     assert total == pytest.approx(study.standard_deviation("response").value ** 2)
-    exact = {"a": 9.0, "b": 0.0, "what no plane explains": 0.5}
+    exact = {"a": 9.0, "b": 0.0, "remainder (not linear)": 0.5}
     for name, value in exact.items():
         assert abs(budget[name].value - value) < 1.5 * budget[name].error
 

@@ -166,7 +166,7 @@ def test_an_estimate_in_doubt_confirms_and_is_never_the_answer():
     doubtful = Estimate(1.05, 1e-3, doubt="impacts")
     found = confirmed("r", "v", {"regression": Estimate(1.0, 0.1), "pathwise": doubtful})
     assert (found.value, found.error, found.method) == (1.0, 0.1, "regression")
-    assert found.trustworthy and found.verdict == "Agreed by regression and pathwise within ±0.001."
+    assert found.trustworthy and found.verdict == "From regression, confirmed by pathwise (±0.001)."
     apart = confirmed(
         "r",
         "v",

@@ -10,6 +10,7 @@ import pytest
 from scipy import stats
 
 import jaxclear as jc
+from jaxclear.ground.array_functions import on_host
 from jaxclear.studies.inputs import correlation_matrix, joint
 from jaxclear.studies.sampling import draw
 
@@ -39,6 +40,43 @@ SCORES = jnp.linspace(-5.0, 5.0, 101)
 def exact(reference):
     low, high = stats.norm.cdf(SCORES), stats.norm.sf(SCORES)
     return np.where(SCORES < 0, reference.ppf(low), reference.isf(high))
+
+
+@pytest.fixture
+def compiled():
+    """The programs that JAX compiles, by name."""
+    names: list[str] = []
+    heard = lambda event, *_, **told: (
+        names.append(told["fun_name"]) if "backend_compile" in event else None
+    )
+    jax.monitoring.register_event_duration_secs_listener(heard)
+    yield names
+    jax.monitoring.unregister_event_duration_listener(heard)
+
+
+@pytest.mark.parametrize("name", [*CASES, "empirical", "discrete"])
+def test_numbers_that_are_not_traced_compile_nothing(name, compiled):
+    """And are those of JAX, but for rounding."""
+    more = {"empirical": D.Empirical([0.1, 0.5, 0.2]), "discrete": D.Discrete((0.0, 1.0))}
+    distribution = more[name] if name in more else CASES[name][0]
+    scores, plain = np.asarray(SCORES), on_host(distribution)
+    expected = np.asarray(distribution.of_score(SCORES)), np.asarray(distribution.deviation())
+    compiled.clear()
+    values = plain.of_score(scores), plain.quantile(np.array([0.2, 0.9])), plain.deviation()
+    assert compiled == [] and all(isinstance(own, (np.ndarray, np.number)) for own in values)
+    np.testing.assert_allclose(values[0], expected[0], rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(values[2], expected[1], rtol=1e-12)
+
+
+def test_scores_of_a_cut_off_distribution_end_where_shares_do(compiled):
+    law, frozen = on_host(CASES["truncated"][0]), CASES["truncated"][1]
+    deviations = np.array([-1.5, -1.4999, 0.0, 1.2, 1.5])
+    scores = law.score(deviations)
+    assert compiled == []
+    np.testing.assert_allclose(scores[1:4], stats.norm.ppf(frozen.cdf(deviations[1:4])), rtol=1e-9)
+    assert scores[0] <= -8.2 and scores[-1] >= 8.2
+    slopes = jax.vmap(jax.grad(CASES["truncated"][0].score))(jnp.asarray(deviations))
+    assert np.all(np.isfinite(slopes))
 
 
 # Those whose formulas differ most; each compiles its own.

@@ -7,8 +7,9 @@ import pytest
 from scipy.stats import norm, qmc
 
 import jaxclear as jc
-from jaxclear.studies.sampling import MANY, draw, groups
+from jaxclear.studies.sampling import BLOCK, draw, groups
 
+MANY = 4 * BLOCK
 NORMAL = jc.FunctionProblem(
     lambda a, b: a + b, {name: jc.Dimension(1.0, jc.distribution.Normal(0.1)) for name in "ab"}
 )
@@ -43,8 +44,7 @@ def test_scramblings_of_sobols_sequence_take_turns():
 
 
 def test_many_samples_are_drawn_by_their_numbers_too():
-    """By a compiled program, whatever they follow: the same last digits. The first ones are those
-    of a small study."""
+    """Whatever they follow: the same last digits. The first ones are those of a small study."""
     asked = {name: jc.Dimension(2.0, own) for name, own in KINDS.items()}
     plain = jc.FunctionProblem(
         lambda **own: own["normal"], asked, correlation={("normal", "uniform"): 0.5}

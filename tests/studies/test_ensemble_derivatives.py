@@ -277,7 +277,7 @@ def test_agreement_that_says_little_is_told():
     }
     found = confirmed("r", "v", estimates)
     assert found.trustworthy and found.value == pytest.approx(1.0)
-    told = f"Agreed by regression and differences within ±{estimates['differences'].error:.2g}."
+    told = f"That by differences (±{estimates['differences'].error:.2g}) is consistent but too"
     assert told in found.verdict and estimates["differences"].error > 1.0
 
 
@@ -322,7 +322,7 @@ def test_methods_agree_on_a_derivative_of_zero(name):
     flat = jc.FunctionProblem(ZERO[name], both)
     of = ("mean", "standard deviation", ("quantile", 0.9))
     for found in jc.sensitivity(flat, "y", of=of, seed=100).derivatives.values():
-        assert found.trustworthy and "Agreed by" in found.verdict, found
+        assert found.trustworthy and "confirmed by" in found.verdict, found
         assert abs(found.value) <= 2 * found.error, found
 
 

@@ -205,7 +205,7 @@ def test_methods_that_disagree_say_so():
     # What the steps of a run leave open is no disagreement.
     steps = {"regression": Estimate(1.0, 1e-13), "differences": Estimate(1.0 + 1e-8, 1e-13)}
     exact = confirmed("r", "v", steps)
-    assert exact.trustworthy and 5e-9 < exact.error < 2e-8 and "Agreed by" in exact.verdict
+    assert exact.trustworthy and 5e-9 < exact.error < 2e-8 and "confirmed by" in exact.verdict
     vague = confirmed(
         "r", "v", {"regression": Estimate(1.0, 0.1), "pathwise": Estimate(5.0, 100.0)}
     )
@@ -213,7 +213,7 @@ def test_methods_that_disagree_say_so():
     nought = confirmed(
         "r", "v", {"regression": Estimate(-1e-3, 1e-2), "differences": Estimate(0.0, 0.0)}
     )
-    assert "Agreed by regression and differences" in nought.verdict
+    assert "From regression, confirmed by differences" in nought.verdict
     alone = confirmed(
         "r", "v", {"regression": Estimate(1.0, 0.1), "pathwise": Estimate(np.nan, np.nan, "no")}
     )

@@ -11,6 +11,7 @@ import scipy
 
 import jaxclear as jc
 from jaxclear.ground.printing import with_error
+from jaxclear.plot.canvas import as_warnings
 from jaxclear.plot.studies import _warned_samples
 from jaxclear.studies.experiment import Cost, Description, ResponseInfo, SampleResult
 from jaxclear.studies.replicas import MOST_REPLICAS
@@ -214,9 +215,11 @@ def test_what_is_off_beyond_the_promise_is_said(study):
     """Also in the verdict of a derivative, and below the figure."""
     found = jc.monte_carlo(long_steps(), CHUNK, chunk=CHUNK)
     (said,) = found.accuracy_warnings
-    assert said.startswith('"way": steps put its mean -0.25 m off, beyond the 0.0')
+    assert said.startswith('"way": the steps change its mean by -0.25 m, more than the tolerance')
     assert said in found.sentence() and said in str(found)
-    assert _warned_samples(found)[: len(found.accuracy_warnings)] == [*found.accuracy_warnings]
+    assert _warned_samples(found)[: len(found.accuracy_warnings)] == as_warnings(
+        found.accuracy_warnings
+    )
     assert max(len(part.split()) for part in re.split(r"[.;] ", said)) <= MOST_WORDS
     assert study.accuracy_warnings == ()
     answers = jc.sensitivity(found.problem, sample=found, difference_samples=8)
@@ -288,10 +291,13 @@ def test_where_paths_part_two_figures_stand_side_by_side():
     assert told.wanted == np.ceil(16 * (told.uncertainty / told.sampling) ** 2) > 16
     # Nobody is accused by chance.
     assert found.accuracy_warnings == ()
-    said = f"Steps put it off by {told.bias:.2g} ± {told.uncertainty:.2g}, as far as 16 replicas"
-    assert f"{said} tell; about {told.wanted:.0f} would." in str(found)
+    said = (
+        f"The error by the steps, {told.bias:.2g} ± {told.uncertainty:.2g} from 16 companion runs, "
+        f"is not resolved; about {told.wanted:.0f} would resolve it."
+    )
+    assert said in str(found)
     assert f"mean error {told.sampling:.2g}" not in str(found) and str(told) == (
-        f"± {told.sampling:.2g} (samples). {said} tell; about {told.wanted:.0f} would."
+        f"± {told.sampling:.2g} (samples). {said}"
     )
     alone = jc.monte_carlo(parting(0.1), 1).replicas.bias("y")
     assert np.isfinite(alone[0]) and np.isinf(alone[1])
@@ -384,7 +390,7 @@ def test_intervals_of_derivatives_hold_what_steps_do():
 def test_a_bias_of_a_derivative_that_replicas_do_not_tell_is_said():
     how = {"sample": 256, "difference_samples": 16, "methods": ("regression",)}
     found = jc.sensitivity(parting(0.1), **how).derivatives["y", "x"]
-    assert "Steps put it off by" in found.verdict and "as far as 16 replicas tell" in found.verdict
+    assert "The error by the steps" in found.verdict and "16 companion runs" in found.verdict
     assert found.error == found.estimates["regression"].error
     few = jc.sensitivity(falling(), sample=2, methods=("differences",), difference_samples=16)
     assert "± inf" in few.derivatives["way", "gravity"].verdict

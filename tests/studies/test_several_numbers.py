@@ -55,7 +55,7 @@ def test_a_sample_has_the_spread_of_the_disc_and_a_budget_one_row():
     found = study.standard_deviation("error")
     assert abs(found.value - np.sqrt(PIN + GAP)) < found.error < 3e-8
     budget = study.error_budget("error")
-    assert list(budget) == ["pin", "gap", "what no plane explains"]
+    assert list(budget) == ["pin", "gap", "remainder (not linear)"]
     np.testing.assert_allclose([budget["pin"].value, budget["gap"].value], [PIN, GAP], rtol=2e-3)
     assert {"pin x", "pin y", "gap"} <= set(study.to_dataset().data_vars)
     assert "pin 0, 0 m" in str(study.problem)

@@ -31,7 +31,7 @@ ANSWERS = {
     ),
     "sensitivity": (
         lambda: jc.sensitivity(ASKED, sample=64, difference_samples=32),
-        ("d(area)/d(b) = ", " ± ", "mm2/m", "Agreed by"),
+        ("d(area)/d(b) = ", " ± ", "mm2/m", "From "),
     ),
     "surface": (lambda: jc.surface(ASKED), ("Surface of 2 variables", "leave-one-out R2", "mm2")),
     "worst_case": (lambda: jc.worst_case(ASKED), ("first order", "largest", "mm2", "-0.6")),
@@ -105,10 +105,11 @@ def test_what_few_samples_do_not_tell_is_said():
         lambda a, b: {"plain": a - b, "heavy": jax.numpy.exp(1.4 * a)}, NORMALS
     )
     few, many = str(jc.monte_carlo(both, 64)), str(jc.monte_carlo(both, 512))
-    assert '64 samples do not bound the 5 % and 95 % quantiles of "plain", "heavy"' in few
-    assert "inf" not in few + str(jc.monte_carlo(both, 64).summary()) and "bound" not in many
+    short = "64 samples are too few for an interval of the 5 % and 95 % quantiles of "
+    assert f'{short}"plain", "heavy"' in few
+    assert "inf" not in few + str(jc.monte_carlo(both, 64).summary()) and "too few" not in many
     for told in (few, many):
-        assert 'Few samples decide the standard deviation of "heavy"' in told
+        assert '"heavy" has heavy tails: the 95 % interval of its standard deviation' in told
         assert 'deviation of "plain"' not in told
 
 

@@ -1,6 +1,7 @@
 """Problems told by the same texts are one: of a function, what it does and with what."""
 
 import functools
+import importlib
 import subprocess
 import sys
 from types import ModuleType
@@ -12,7 +13,8 @@ import jax.numpy as jnp
 import pytest
 
 import jaxclear as jc
-from jaxclear.studies.store.digest import describe, difference, first_difference, in_texts
+from jaxclear.ground.description import describe
+from jaxclear.studies.store.digest import difference, first_difference, in_texts
 
 MODULE = """
 import functools
@@ -213,6 +215,36 @@ def test_edits_are_noticed_and_moves_are_not(name, module, monkeypatch):
     assert one != told("3.0")
 
 
+def test_what_a_library_makes_of_a_function_is_another():
+    """A derivative of it, or its own rule for one."""
+    square = lambda x: x**2
+    made = (square, jax.grad(square), jax.vmap(square), jax.jacrev(square))
+    assert len({str(texts_of(own)) for own in made}) == len(made)
+    assert texts_of(jax.grad(square)) == texts_of(jax.grad(lambda x: x**2))
+
+    def with_rule(slope):
+        f = jax.custom_jvp(lambda x: x)
+        f.defjvp(lambda x, v: (x[0], slope * v[0]))
+        return f
+
+    assert texts_of(with_rule(1.0)) == texts_of(with_rule(1.0)) != texts_of(with_rule(2.0))
+
+
+def test_modules_that_a_users_module_uses_belong_to_it(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(tmp_path)
+    package = tmp_path / "a_users_package"
+    package.mkdir()
+    (package / "__init__.py").write_text("from a_users_package import inner\n")
+
+    def told(factor):
+        (package / "inner.py").write_text(f"f = lambda x: {factor} * x\n")
+        for name in ("a_users_package", "a_users_package.inner"):
+            sys.modules.pop(name, None)
+        return texts_of(importlib.import_module("a_users_package"))
+
+    assert told("2.0") == told("2.0") != told("33.0")
+
+
 def test_things_of_one_name_in_two_modules_are_two():
     def told(second):
         one, other = ({"__name__": f"{name}.settings"} for name in "ab")
@@ -281,7 +313,7 @@ PROGRAM = """
 import sys
 sys.path.insert(0, sys.argv[1])
 import a_users_own, hashlib
-from jaxclear.studies.store.digest import describe
+from jaxclear.ground.description import describe
 found = describe([("", [getattr(a_users_own, name) for name in sys.argv[2:]])])
 print(hashlib.sha256(repr(sorted(found.items())).encode()).hexdigest())
 """

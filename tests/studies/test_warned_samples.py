@@ -75,10 +75,10 @@ def test_statistics_are_told_with_and_without_them(study):
     clean = np.setdiff1d(np.arange(64), study.warned)
     values = study.responses["slider"]
     assert row["warned"] == len(study.warned) and row["mean"] == pytest.approx(values.mean())
-    assert row["mean without warned"] == pytest.approx(values[clean].mean())
+    assert row["mean, samples without warnings"] == pytest.approx(values[clean].mean())
     # Of quasi-random samples the variance is the mean square and that of the mean.
     least, most = values[clean].std(), values[clean].std(ddof=1)
-    assert least <= row["standard deviation without warned"] <= most
+    assert least <= row["standard deviation, samples without warnings"] <= most
     table = study.table()
     assert list(np.flatnonzero(table["warnings"] != "")) == list(study.warned)
     assert set(table["in doubt"]) == {"", "slider, speed"}
@@ -130,7 +130,7 @@ def test_a_failed_sample_is_not_counted_twice(study):
 def test_a_derivative_says_which_runs_warn_and_is_not_trusted(study):
     answers = jc.sensitivity(study.problem, sample=study, difference_samples=16)
     found = answers.derivatives["slider", "crank"]
-    assert found.verdict.startswith("Agreed by ") and not found.trustworthy
+    assert found.verdict.startswith("From ") and not found.trustworthy
     share = len(study.warned) / 64
     assert found.estimates["regression"].warned == pytest.approx(share)
     assert f"In regression, {len(study.warned)} of 64 runs warn (loop drift" in found.verdict
@@ -170,7 +170,7 @@ def test_a_figure_of_warned_infinite_answers_says_that_there_is_no_mean():
     table, responses = pandas.DataFrame([row]), {"life": np.array([1.0, np.inf])}
     told = SimpleNamespace(warned=[0], responses=responses, sentence=str, accuracy_warnings=())
     told.summary = lambda: table
-    table["mean without warned"] = np.nan
+    table["mean, samples without warnings"] = np.nan
     said = _warned_samples(told)[-1]
     assert said == "life: 3 in doubt; there is no mean, infinite in 1 samples."
 

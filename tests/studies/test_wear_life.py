@@ -84,7 +84,7 @@ def test_between_stages_and_until_a_limit(lived):
     found = life.until("force", force)
     assert abs(found.cycles - lived.law.turns(limit)) < found.error
     never = life.until("volume", 1.0)
-    assert np.isinf(never.cycles) and "not 1." in never.sentence
+    assert np.isinf(never.cycles) and "does not reach 1; at its last rate" in never.sentence
 
 
 @pytest.mark.slow
@@ -105,7 +105,7 @@ def test_wear_that_hangs_on_the_saving_times_is_told(lived):
     mine, waved = (each.stages[0].settled.wear["B"]["bearing"] for each in (life, other))
     off = np.sqrt(np.mean((waved - mine) ** 2)) / np.mean(mine)
     assert 0.02 < off < 0.05 and told[0] == pytest.approx(off, rel=0.05)
-    assert "at a fourth of these a cycle would spread wear otherwise" in life.sentence()
+    assert "a fourth of these would spread wear otherwise" in life.sentence()
     ends = [np.asarray(each.worn()["B"]["bearing"]) for each in (life, other)]
     assert np.sqrt(np.mean((ends[1] - ends[0]) ** 2)) < told.max() * np.mean(ends[0])
     volumes = [each.over_life("volume")[-1] for each in (life, other)]
@@ -206,6 +206,19 @@ def test_a_store_of_another_problem_is_refused(tmp_path):
         jc.wear_life(other, cycles=1, store=tmp_path / "full")
 
 
+def test_a_limit_that_is_not_reached_is_forecast_at_the_last_rate():
+    """At a constant load depth grows with the turns, so the forecast is the closed form; the life
+    is asked for in hours."""
+    life = jc.wear_life(problem(wearing_ring(slope=0.0)), hours=1e3 * TURN / 3600)
+    assert life.cycles[-1] == pytest.approx(1e3)
+    depth = life.at_end("depth")
+    ahead = life.cycles_ahead("depth", 4 * depth)
+    assert ahead == pytest.approx(3e3, rel=1e-3)
+    sentence = life.until("depth", 4 * depth).sentence
+    assert f"about 4e+03 cycles ({4e3 * TURN / 3600:.2g} h at {1 / TURN:.4g} Hz)" in sentence
+    assert life.cycles_ahead("depth", 0.5 * depth) == np.inf
+
+
 def test_a_life_ends_where_its_cycles_fail():
     """With what was reached and why: near the depth at which the load breaks."""
     life = jc.wear_life(problem(wearing_ring(slope=0.0, breaks=3e-6)), cycles=1e6)
@@ -215,7 +228,7 @@ def test_a_life_ends_where_its_cycles_fail():
     # The contact lies 1e-6 m deep.
     assert depth == pytest.approx(2e-6, rel=0.1)
     assert life.cycles[-1] == pytest.approx(1e6 * depth / 2.5e-5, rel=0.01)
-    assert "not 1" in life.until("depth", 1.0).sentence
+    assert "does not reach 1" in life.until("depth", 1.0).sentence
 
 
 @pytest.mark.slow
@@ -315,7 +328,8 @@ def test_a_life_is_a_response_as_any_other(tmp_path, monkeypatch):
     hardness, load = found.values.T
     way = 2 * np.pi * (RADIUS + 0.5 * load / STIFFNESS)
     wanted = 1e-5 * 2 * np.pi * RADIUS * LENGTH * hardness / (1e-5 * load * way)
-    np.testing.assert_allclose(found.responses["life"], wanted, rtol=1e-4)
+    # Between nodes losses are put on in fewer parts, and cells are less even.
+    np.testing.assert_allclose(found.responses["life"], wanted, rtol=2e-4)
     assert np.all(found.responses["sure"] < found.responses["life"])
     assert found.problem.units()["life"] == "cycles" and np.ptp(wanted) > 0.01 * wanted[0]
 
@@ -333,6 +347,9 @@ def test_a_life_is_a_response_as_any_other(tmp_path, monkeypatch):
         (lambda: jc.wear_life(problem(wearing_ring()), jump=0.5), "jump of wear_life is 0.5"),
         (lambda: jc.wear_life(problem(wearing_ring()), store=3), "must be the path of a folder"),
         (lambda: jc.wear_life(wearing_ring()), r"needs its period \[s\]"),
+        (lambda: jc.wear_life(wearing_ring(), TURN), "a period of .* and no number of cycles"),
+        (lambda: jc.wear_life(problem(wearing_ring()), cycles=9, hours=9), "leave one of them out"),
+        (lambda: jc.wear_life(problem(wearing_ring()), hours=-1.0), "hours of wear_life is -1"),
         (lambda: jc.wear_life(problem(wearing_ring()), 1e6), "give cycles by name, cycles="),
         (
             lambda: jc.wear_life(

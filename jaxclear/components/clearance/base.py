@@ -23,6 +23,7 @@ from typing import Any, ClassVar, NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 
+from jaxclear.components.acting import AbstractJointLoad
 from jaxclear.components.joint import AbstractJoint
 from jaxclear.components.joint.base import AbstractLikeIdeal, AbstractRubbingJoint, CarryingEnd
 from jaxclear.components.wear_map import AbstractWearMap, Wearing
@@ -199,6 +200,14 @@ class AbstractClearance(AbstractQuantified):
             location features, a tuple.
         """
         raise NotImplementedError(f"a {type(self).__name__} has no wear map for its {surface}.")
+
+    def gap_load(self, name: str) -> AbstractJointLoad | None:
+        """The load that fills the gap, a film for example; None unless overridden.
+
+        Args:
+            name: name of the joint.
+        """
+        return None
 
     def permanent_form(self) -> AbstractJoint:
         """The ideal joint as which this one moves while it always touches; one with friction is an

@@ -14,7 +14,7 @@ a turned one runs out lets it cross within a small tilt; its gap and its contact
 """
 
 from collections.abc import Iterator
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -26,13 +26,15 @@ from jaxclear.components.clearance.journal_base import (
     check_roundness,
 )
 from jaxclear.components.joint.base import shared_by_ends
+from jaxclear.components.journal_film import JournalFilm
 from jaxclear.components.wear_map import Wearing
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import positive_part, rounded_norm, safe_divide
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, concrete, quantity
 from jaxclear.laws.contact import AbstractNormalLaw
+from jaxclear.laws.film import AbstractFilm
 from jaxclear.laws.friction import AbstractFrictionLaw
-from jaxclear.laws.stiffness import Shape
+from jaxclear.laws.stiffness import Shape, fitted
 
 # Height of the crown over the rim, as a share of the axial clearance: 0.2 um at 0.2 mm, where
 # faces run out by several um. Up to ten times as much changes no mean force by 1e-3, and halves the
@@ -108,6 +110,26 @@ class Flange(AbstractQuantified):
 REACH = 3.0
 
 
+def check_film(joint: Any) -> None:
+    """Raises `ValueError` for a film in a bearing for which its law is not made."""
+    if joint.film is None:
+        return
+    name = f"a {type(joint).__name__} has film.{type(joint.film).__name__}"
+    if joint.roundness is not None:
+        raise ValueError(f"{name} and a roundness; films are those of a round bore: leave one out.")
+    if joint.bearing_wear is not None or joint.journal_wear is not None:
+        raise ValueError(
+            f"{name} and surfaces that wear; films are those of a bore as made: leave one out."
+        )
+    length, radius = concrete(joint.length), concrete(joint.bearing_radius)
+    least, most = joint.film.slenderness
+    if length is not None and radius is not None and not least <= 0.5 * length / radius <= most:
+        raise ValueError(
+            f"{name} and a length of {0.5 * length / radius:g} diameters; this film is made for "
+            f"{least:g} to {most:g}."
+        )
+
+
 class PlanarJournalBearing(AbstractJournalBearing):
     r"""Journal in a bearing, both axes parallel: one contact, in the plane of the bearing.
 
@@ -123,10 +145,11 @@ class PlanarJournalBearing(AbstractJournalBearing):
         bearing_wear: wear of the bearing, a `Wearing`; none by default.
         journal_wear: wear of the journal, a `Wearing`; none by default.
         roundness: lobes of a bore that is not round, a tuple of `Lobes`; round by default.
+        film: film law of a lubricated gap, one of `jaxclear.film`; none by default: dry.
 
     Raises:
-        ValueError: if the clearance is not below the radius, or the lobes are so high that the
-            journal may touch two at once.
+        ValueError: if the clearance is not below the radius, the lobes are so high that the journal
+            may touch two at once, or the film is not made for this bearing.
     """
 
     ideal_rows: ClassVar = ("x", "y")
@@ -138,10 +161,19 @@ class PlanarJournalBearing(AbstractJournalBearing):
     bearing_wear: Wearing | None = eqx.field(default=None, kw_only=True)
     journal_wear: Wearing | None = eqx.field(default=None, kw_only=True)
     roundness: tuple[Lobes, ...] | None = eqx.field(default=None, kw_only=True)
+    film: AbstractFilm | None = eqx.field(default=None, kw_only=True)
 
     def __check_init__(self):
         check_clearance(self, "bearing_radius")
         check_roundness(self)
+        check_film(self)
+
+    def gap_load(self, name):
+        if self.film is None:
+            return None
+        shape = Shape(self.bearing_radius - self.clearance, self.bearing_radius, self.length)
+        law = fitted(self.film, shape)
+        return JournalFilm(name, law, self.bearing_radius, self.clearance, self.length)
 
     @property
     def axes(self) -> tuple[int, ...]:

@@ -23,6 +23,7 @@ from jaxclear.components.clearance.base import AbstractClearance, AbstractPerman
 from jaxclear.components.cylinder_map import CylinderMap
 from jaxclear.components.joint import Revolute
 from jaxclear.components.joint.base import CarryingEnd, pressed_end
+from jaxclear.components.journal_film import MobileJournal
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import safe_sqrt
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, concrete, count, quantity
@@ -265,7 +266,12 @@ class PermanentRevolute(AbstractPermanentJoint):
 
     @property
     def friction(self):
-        return self.gap.friction
+        # A journal on its film does not touch.
+        return None if self.gap.gap_load("") is not None else self.gap.friction
+
+    def gap_load(self, name):
+        film = self.gap.gap_load(name)
+        return None if film is None else MobileJournal(name, film)
 
     @property
     def clearance(self) -> Scalar:

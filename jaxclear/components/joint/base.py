@@ -319,6 +319,14 @@ class AbstractRubbingJoint(AbstractJoint):
     def friction(self) -> AbstractFrictionLaw | None:
         """The law between the parts."""
 
+    def gap_load(self, name: str) -> Any:
+        """The load that fills the gap, a film for example; None unless overridden.
+
+        Args:
+            name: name of the joint.
+        """
+        return None
+
     @property
     def follows_reaction(self) -> bool:
         """Whether friction follows what the joint carries; it does unless overridden."""

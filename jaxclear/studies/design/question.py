@@ -120,10 +120,10 @@ def _place(choice, number):
 def usual_tolerance(distribution: Any) -> float:
     """Half of the range of a distribution; of one without ends, half of what lies between three
     standard deviations of a normal one."""
-    ends = [float(distribution.quantile(jnp.asarray(share))) for share in (0.0, 1.0)]
+    ends = [float(distribution.quantile(share)) for share in (0.0, 1.0)]
     if not np.all(np.isfinite(ends)):
         shares = (1.0 - THREE_DEVIATIONS, THREE_DEVIATIONS)
-        ends = [float(distribution.quantile(jnp.asarray(share))) for share in shares]
+        ends = [float(distribution.quantile(share)) for share in shares]
     return 0.5 * (ends[1] - ends[0])
 
 

@@ -135,7 +135,9 @@ class Verifier(NamedTuple):
 
 
 def _shares(weights: np.ndarray) -> Any:
-    return jnp.asarray(weights / weights.sum())
+    total = weights.sum()
+    # Where no run succeeds nothing is known.
+    return jnp.asarray(weights / total if total > 0 else np.full_like(weights, np.nan))
 
 
 def _finite(limit: AbstractLimit, values: np.ndarray) -> tuple[np.ndarray, float]:

@@ -5,15 +5,17 @@ that of a standard normal variable, and keeps its accuracy in both tails.
 """
 
 from abc import abstractmethod
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.scipy.special import ndtr
 from jaxtyping import Array, Float
 
+from jaxclear.ground import array_functions as xp
 from jaxclear.ground.numerics import safe_divide
 from jaxclear.ground.quantity import AbstractQuantified, Scalar
+from jaxclear.native.compiled import compiled_quickly
 
 # What a distribution describes tells its unit.
 UNIT = "(in the varied number's unit)"
@@ -27,6 +29,12 @@ END_SCORE = 6.0
 LEAST_END_DENSITY = 1e-4
 
 
+@compiled_quickly
+def score_slopes(distribution: Any, scores: Float[Array, " scores"]) -> Float[Array, " scores"]:
+    """How fast the deviations of a distribution move with these scores [its unit]."""
+    return jax.jvp(distribution.of_score, (scores,), (jnp.ones_like(scores),))[1]
+
+
 class AbstractDistribution(AbstractQuantified):
     """Deviation of a number from its nominal value, in the number's own unit.
 
@@ -34,7 +42,7 @@ class AbstractDistribution(AbstractQuantified):
     """
 
     @abstractmethod
-    def quantile(self, share: Float[Array, "..."]) -> Float[Array, "..."]:
+    def quantile(self, share: Float[Array | np.ndarray | float, "..."]) -> Float[Array, "..."]:
         """Deviation below which a share of the parts lies.
 
         Args:
@@ -48,7 +56,7 @@ class AbstractDistribution(AbstractQuantified):
     def deviation(self) -> Scalar:
         """Standard deviation."""
 
-    def of_score(self, score: Float[Array, "..."]) -> Float[Array, "..."]:
+    def of_score(self, score: Float[Array | np.ndarray | float, "..."]) -> Float[Array, "..."]:
         """Deviation of a standard normal score; it has derivatives.
 
         Args:
@@ -57,9 +65,9 @@ class AbstractDistribution(AbstractQuantified):
         Returns:
             The deviation in the number's unit, of the same shape.
         """
-        return self.quantile(ndtr(score))
+        return self.quantile(xp.ndtr(score))
 
-    def score(self, deviation: Float[Array, "..."]) -> Float[Array, "..."]:
+    def score(self, deviation: Float[Array | np.ndarray | float, "..."]) -> Float[Array, "..."]:
         """Standard normal score of a deviation, the inverse of `of_score`, differentiable once.
 
         Args:
@@ -95,8 +103,7 @@ class AbstractDistribution(AbstractQuantified):
 
     def end_densities(self) -> tuple[float, float]:
         """Density at the lower and the upper end [1/unit]; 0 without an end."""
-        ends = jnp.array([-END_SCORE, END_SCORE])
-        _, slopes = jax.jvp(self.of_score, (ends,), (jnp.ones(2),))
+        slopes = score_slopes(self, np.array([-END_SCORE, END_SCORE]))
         with np.errstate(divide="ignore"):
             density = np.exp(-0.5 * END_SCORE**2) / np.sqrt(2 * np.pi) / np.asarray(slopes)
         density = np.where(density * float(self.deviation()) > LEAST_END_DENSITY, density, 0.0)

@@ -1,11 +1,11 @@
 """Distributions whose quantile is a formula."""
 
-import jax.numpy as jnp
-from jax.scipy.special import ndtr, ndtri
+import math
 
+from jaxclear.ground import array_functions as xp
 from jaxclear.ground.numerics import safe_sqrt
 from jaxclear.ground.quantity import Scalar, quantity
-from jaxclear.studies.distribution.base import UNIT, AbstractDistribution
+from jaxclear.studies.distribution.base import LARGEST_SCORE, UNIT, AbstractDistribution
 
 
 class Normal(AbstractDistribution):
@@ -18,7 +18,7 @@ class Normal(AbstractDistribution):
     standard_deviation: Scalar = quantity(unit=UNIT, above=0)
 
     def quantile(self, share):
-        return self.standard_deviation * ndtri(share)
+        return self.standard_deviation * xp.ndtri(share)
 
     def of_score(self, score):
         return self.standard_deviation * score
@@ -45,8 +45,8 @@ class Uniform(AbstractDistribution):
     def score(self, deviation):
         # From the nearer end, where the share has digits left.
         upper, ratio = deviation > 0, deviation / self.half_width
-        score = ndtri(0.5 * (1.0 + jnp.where(upper, -ratio, ratio)))
-        return jnp.where(upper, -score, score)
+        score = xp.ndtri(0.5 * (1.0 + xp.where(upper, -ratio, ratio)))
+        return xp.where(upper, -score, score)
 
     def deviation(self):
         return self.half_width / 3.0**0.5
@@ -68,22 +68,29 @@ class TruncatedNormal(AbstractDistribution):
     bound: Scalar = quantity(unit=UNIT, above=0, kw_only=True)
 
     def quantile(self, share):
-        low = ndtr(-self.bound / self.standard_deviation)
-        return self.standard_deviation * ndtri(low + share * (1.0 - 2.0 * low))
+        low = xp.ndtr(-self.bound / self.standard_deviation)
+        return self.standard_deviation * xp.ndtri(low + share * (1.0 - 2.0 * low))
 
     def of_score(self, score):
         # Of the lower half and mirrored: a share near 1 has no digits left for what lies beyond.
-        low = ndtr(-self.bound / self.standard_deviation)
+        low = xp.ndtr(-self.bound / self.standard_deviation)
         upper = score > 0
-        share = low + ndtr(jnp.where(upper, -score, score)) * (1.0 - 2.0 * low)
-        deviation = self.standard_deviation * ndtri(share)
-        return jnp.where(upper, -deviation, deviation)
+        share = low + xp.ndtr(xp.where(upper, -score, score)) * (1.0 - 2.0 * low)
+        deviation = self.standard_deviation * xp.ndtri(share)
+        return xp.where(upper, -deviation, deviation)
+
+    def score(self, deviation):
+        low = xp.ndtr(-self.bound / self.standard_deviation)
+        upper, ratio = deviation > 0, deviation / self.standard_deviation
+        share = (xp.ndtr(xp.where(upper, -ratio, ratio)) - low) / (1.0 - 2.0 * low)
+        score = xp.maximum(xp.ndtri(xp.maximum(share, 0.0)), -LARGEST_SCORE)
+        return xp.where(upper, -score, score)
 
     def deviation(self):
         ratio = self.bound / self.standard_deviation
-        density = jnp.exp(-0.5 * ratio * ratio) / jnp.sqrt(2.0 * jnp.pi)
-        inside = 1.0 - 2.0 * ndtr(-ratio)
-        return self.standard_deviation * jnp.sqrt(1.0 - 2.0 * ratio * density / inside)
+        density = xp.exp(-0.5 * ratio * ratio) / xp.sqrt(2.0 * math.pi)
+        inside = 1.0 - 2.0 * xp.ndtr(-ratio)
+        return self.standard_deviation * xp.sqrt(1.0 - 2.0 * ratio * density / inside)
 
     def width(self):
         return "tolerance", self.bound
@@ -104,17 +111,17 @@ class Lognormal(AbstractDistribution):
     spread: Scalar = quantity(unit="1", above=0, kw_only=True)
 
     def quantile(self, share):
-        return self.of_score(ndtri(share))
+        return self.of_score(xp.ndtri(share))
 
     def of_score(self, score):
-        return self.median * jnp.expm1(self.spread * score)
+        return self.median * xp.expm1(self.spread * score)
 
     def score(self, deviation):
-        return jnp.log1p(deviation / self.median) / self.spread
+        return xp.log1p(deviation / self.median) / self.spread
 
     def deviation(self):
         square = self.spread * self.spread
-        return self.median * jnp.exp(0.5 * square) * jnp.sqrt(jnp.expm1(square))
+        return self.median * xp.exp(0.5 * square) * xp.sqrt(xp.expm1(square))
 
 
 class Triangular(AbstractDistribution):
@@ -145,14 +152,14 @@ class Triangular(AbstractDistribution):
         return self._of_shares(share, 1.0 - share)
 
     def of_score(self, score):
-        return self._of_shares(ndtr(score), ndtr(-score))
+        return self._of_shares(xp.ndtr(score), xp.ndtr(-score))
 
     def _of_shares(self, below, above):
         span = self.high - self.low
         rising = below * span < self.mode - self.low
         up = self.low + safe_sqrt(below * span * (self.mode - self.low))
-        return jnp.where(rising, up, self.high - safe_sqrt(above * span * (self.high - self.mode)))
+        return xp.where(rising, up, self.high - safe_sqrt(above * span * (self.high - self.mode)))
 
     def deviation(self):
         a, b, c = self.low, self.high, self.mode
-        return jnp.sqrt((a * a + b * b + c * c - a * b - a * c - b * c) / 18.0)
+        return xp.sqrt((a * a + b * b + c * c - a * b - a * c - b * c) / 18.0)

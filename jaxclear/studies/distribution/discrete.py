@@ -2,10 +2,9 @@
 
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
-from jax.scipy.special import ndtri
 
+from jaxclear.ground import array_functions as xp
 from jaxclear.ground.quantity import vector
 from jaxclear.ground.wording import described
 from jaxclear.studies.distribution.base import UNIT, AbstractDistribution
@@ -46,25 +45,25 @@ class Discrete(AbstractDistribution):
                 )
 
     def _table(self):
-        sizes = jnp.stack(self.deviations)
-        shares = jnp.ones(len(sizes)) if self.shares is None else jnp.stack(self.shares)
-        return sizes, jnp.cumsum(shares / shares.sum())
+        sizes = xp.stack(self.deviations)
+        shares = xp.ones(len(sizes)) if self.shares is None else xp.stack(self.shares)
+        return sizes, xp.cumsum(shares / shares.sum())
 
     def quantile(self, share):
         sizes, upper = self._table()
-        return sizes[jnp.searchsorted(upper[:-1], share, side="right")]
+        return xp.take(sizes, xp.searchsorted(upper[:-1], share, side="right"))
 
     def score(self, deviation):
         sizes, upper = self._table()
-        lower = jnp.concatenate([jnp.zeros(1), upper[:-1]])
-        place = jnp.argmin(jnp.abs(sizes - jnp.asarray(deviation)[..., None]), axis=-1)
-        return ndtri(0.5 * (lower + upper))[place]
+        lower = xp.concatenate([xp.zeros(1), upper[:-1]])
+        place = xp.argmin(abs(sizes - xp.expand_dims(deviation, -1)), axis=-1)
+        return xp.take(xp.ndtri(0.5 * (lower + upper)), place)
 
     def deviation(self):
         sizes, upper = self._table()
-        shares = jnp.diff(upper, prepend=0.0)
-        mean = jnp.sum(shares * sizes)
-        return jnp.sqrt(jnp.sum(shares * (sizes - mean) ** 2))
+        shares = xp.diff(upper, prepend=0.0)
+        mean = xp.sum(shares * sizes)
+        return xp.sqrt(xp.sum(shares * (sizes - mean) ** 2))
 
     def is_continuous(self):
         return False

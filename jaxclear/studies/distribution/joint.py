@@ -11,11 +11,10 @@ from typing import Any
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jax.scipy.special import betainc, gammainc
 from jaxtyping import Array, Float
 
+from jaxclear.ground import array_functions as xp
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity
 from jaxclear.ground.wording import described
 from jaxclear.studies.distribution.base import (
@@ -97,10 +96,10 @@ class BallMarginal(AbstractDistribution):
         def halved(_, span):
             low, high = span
             middle = 0.5 * (low + high)
-            above = betainc(power, power, 0.5 * (1.0 + middle)) > share
-            return jnp.where(above, low, middle), jnp.where(above, middle, high)
+            above = xp.betainc(power, power, 0.5 * (1.0 + middle)) > share
+            return xp.where(above, low, middle), xp.where(above, middle, high)
 
-        edge = jnp.ones(jnp.shape(share))
+        edge = xp.ones(xp.shape(share))
         low, high = jax.lax.fori_loop(0, HALVINGS, halved, (-edge, edge))
         return self.radius * 0.5 * (low + high)
 
@@ -141,45 +140,45 @@ class Ball(AbstractJointDistribution):
         return AXES[: self.dimension]
 
     def of_scores(self, scores):
-        square = jnp.sum(scores**2, axis=-1, keepdims=True)
+        square = xp.sum(scores**2, axis=-1, keepdims=True)
         inside = square > SMALL_SQUARE
-        length = jnp.sqrt(jnp.where(inside, square, 1.0))
-        factor = jnp.where(inside, self._share(length) / length, IN_THE_MIDDLE[self.dimension])
+        length = xp.sqrt(xp.where(inside, square, 1.0))
+        factor = xp.where(inside, self._share(length) / length, IN_THE_MIDDLE[self.dimension])
         return self.radius * scores * factor
 
     def scores(self, deviations):
-        square = jnp.sum((deviations / self.radius) ** 2, axis=-1, keepdims=True)
+        square = xp.sum((deviations / self.radius) ** 2, axis=-1, keepdims=True)
         inside = square > SMALL_SQUARE
-        share = jnp.sqrt(jnp.clip(jnp.where(inside, square, 1.0), 0.0, 1.0))
+        share = xp.sqrt(xp.clip(xp.where(inside, square, 1.0), 0.0, 1.0))
         if self.dimension == 2:
-            length = jnp.sqrt(-2.0 * jnp.log1p(-(jnp.minimum(share, LARGEST_SHARE) ** 2)))
+            length = xp.sqrt(-2.0 * xp.log1p(-(xp.minimum(share, LARGEST_SHARE) ** 2)))
         else:
 
             def halved(_, span):
                 low, high = span
                 middle = 0.5 * (low + high)
                 above = self._share(middle) > share
-                return jnp.where(above, low, middle), jnp.where(above, middle, high)
+                return xp.where(above, low, middle), xp.where(above, middle, high)
 
-            ends = jnp.zeros_like(share), jnp.full_like(share, LARGEST_SCORE)
+            ends = xp.zeros_like(share), xp.full_like(share, LARGEST_SCORE)
             length = 0.5 * sum(jax.lax.fori_loop(0, HALVINGS, halved, ends))
-        factor = jnp.where(inside, length / share, 1.0 / IN_THE_MIDDLE[self.dimension])
+        factor = xp.where(inside, length / share, 1.0 / IN_THE_MIDDLE[self.dimension])
         return deviations / self.radius * factor
 
     def _share(self, length):
         """The radius [1] of the unit ball within which as many points lie as scores within
         `length`."""
         if self.dimension == 2:
-            return jnp.sqrt(-jnp.expm1(-0.5 * length**2))
-        return gammainc(1.5, 0.5 * length**2) ** (1.0 / 3.0)
+            return xp.sqrt(-xp.expm1(-0.5 * length**2))
+        return xp.gammainc(1.5, 0.5 * length**2) ** (1.0 / 3.0)
 
     def marginals(self):
         return (BallMarginal(self.radius, self.dimension),) * self.dimension
 
     def nearest(self, deviations):
-        length = jnp.sqrt(jnp.sum(deviations**2, axis=-1, keepdims=True))
+        length = xp.sqrt(xp.sum(deviations**2, axis=-1, keepdims=True))
         beyond = length > self.radius
-        return deviations * jnp.where(beyond, self.radius / jnp.where(beyond, length, 1.0), 1.0)
+        return deviations * xp.where(beyond, self.radius / xp.where(beyond, length, 1.0), 1.0)
 
 
 class Independent(AbstractJointDistribution):
@@ -229,7 +228,7 @@ class Independent(AbstractJointDistribution):
             name = together if isinstance(member, AbstractJointDistribution) else alone
             parts.append(getattr(member, name)(some) if name else some)
             first += some.shape[-1]
-        return jnp.concatenate(parts, axis=-1)
+        return xp.concatenate(parts, axis=-1)
 
 
 def marginals_of(distribution: Any) -> tuple[AbstractDistribution, ...]:

@@ -12,9 +12,9 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import scipy
-from jax.scipy.special import ndtri
 from jaxtyping import Array, Float
 
+from jaxclear.ground import array_functions as xp
 from jaxclear.ground.quantity import Scalar, quantity
 from jaxclear.ground.wording import described
 from jaxclear.studies.distribution.base import END_SCORE, LARGEST_SCORE, UNIT, AbstractDistribution
@@ -36,12 +36,15 @@ class Table(eqx.Module):
 
     def of_score(self, score: Float[Array, "..."]) -> Float[Array, "..."]:
         """Deviation at a score [1]; beyond the last knots along the line through the last two."""
-        i = jnp.clip(jnp.searchsorted(self.scores, score) - 1, 0, len(self.scores) - 2)
-        left, right = self.deviations[i], self.deviations[i + 1]
-        step = self.scores[i + 1] - self.scores[i]
-        s = (score - self.scores[i]) / step
-        deviation = _hermite(s, left, right, step * self.slopes[i], step * self.slopes[i + 1])
-        return jnp.where((s < 0) | (s > 1), left + s * (right - left), deviation)
+        i = xp.clip(xp.searchsorted(self.scores, score) - 1, 0, len(self.scores) - 2)
+        (start, end), (left, right), slopes = (
+            (xp.take(column, i), xp.take(column, i + 1))
+            for column in (self.scores, self.deviations, self.slopes)
+        )
+        step = end - start
+        s = (score - start) / step
+        deviation = _hermite(s, left, right, step * slopes[0], step * slopes[1])
+        return xp.where((s < 0) | (s > 1), left + s * (right - left), deviation)
 
 
 def _hermite(s, left, right, left_slope, right_slope):
@@ -142,7 +145,7 @@ class FromScipy(AbstractDistribution):
         self.spread = spread
 
     def quantile(self, share):
-        return self.of_score(ndtri(share))
+        return self.of_score(xp.ndtri(share))
 
     def of_score(self, score):
         return self.table.of_score(score)
@@ -192,10 +195,11 @@ class Empirical(AbstractDistribution):
 
     def _within(self) -> Array:
         """Its values, none beyond its ends."""
-        return jnp.clip(self.deviations, self.low, self.high)
+        low = -np.inf if self.low is None else self.low
+        return xp.clip(self.deviations, low, np.inf if self.high is None else self.high)
 
     def quantile(self, share):
-        return self.of_score(ndtri(share))
+        return self.of_score(xp.ndtri(share))
 
     def of_score(self, score):
         inside, count = self._within(), len(self.deviations)
@@ -203,10 +207,10 @@ class Empirical(AbstractDistribution):
             inside[0] if self.low is None else self.low,
             inside[-1] if self.high is None else self.high,
         )
-        scores = ndtri((jnp.arange(count) + 0.5) / count)
-        outer = jnp.array([LARGEST_SCORE])
-        scores = jnp.concatenate([-outer, scores, outer])
-        return jnp.interp(score, scores, jnp.concatenate([ends[0][None], inside, ends[1][None]]))
+        scores = xp.ndtri((np.arange(count) + 0.5) / count)
+        outer = np.array([LARGEST_SCORE])
+        scores = xp.concatenate([-outer, scores, outer])
+        return xp.interp(score, scores, xp.concatenate([ends[0][None], inside, ends[1][None]]))
 
     def deviation(self):
-        return jnp.std(self._within())
+        return xp.std(self._within())

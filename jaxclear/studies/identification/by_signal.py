@@ -6,8 +6,6 @@ say that the records do not speak against.
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-import jax.numpy as jnp
-
 from jaxclear.studies.identification.alternatives import ModelChoice, choose_models, hull
 from jaxclear.studies.identification.forward import Forward, Record
 from jaxclear.studies.identification.several_records import (
@@ -78,7 +76,7 @@ def _within(problem: Problem, name: str, interval: CredibleInterval) -> Credible
     """An interval of an unknown within the ends of its prior."""
     place = problem.names.index(name)
     distribution, nominal = problem.inputs.distributions[place], float(problem.nominal()[place])
-    low, high = (nominal + float(distribution.quantile(jnp.asarray(end))) for end in (0.0, 1.0))
+    low, high = (nominal + float(distribution.quantile(end)) for end in (0.0, 1.0))
     return interval._replace(low=max(interval.low, low), high=min(interval.high, high))
 
 

@@ -128,7 +128,7 @@ def prior_shares(problem: Problem, values: np.ndarray) -> np.ndarray:
     """Values (runs, variables) as shares of their priors."""
     nominal = np.asarray(problem.nominal())
     shares = [
-        scipy.special.ndtr(np.asarray(problem.marginals[name].score(jnp.asarray(column))))
+        scipy.special.ndtr(np.asarray(problem.marginals[name].score(column)))
         for name, column in zip(problem.names, (values - nominal).T, strict=True)
     ]
     return np.stack(shares, axis=1)

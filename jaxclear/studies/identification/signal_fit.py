@@ -12,7 +12,6 @@ Meteorol. 23, 800; where to end its sum, Geyer 1992, Stat. Sci. 7, 473, doi:10.1
 
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 import scipy
 from jax.scipy.special import ndtr
@@ -234,7 +233,7 @@ def _refused(forward: Forward, record: Record, best: Optimum | None, why: str) -
     if best is None:
         values, row, misfits = np.full(len(names), np.nan), record.row * np.nan, {}
     else:
-        values = np.asarray(forward.problem.inputs.values(jnp.asarray(best.normal)))
+        values = np.asarray(forward.problem.inputs.values(best.normal))
         row, misfits = record.row + best.residual, _misfits(record, best)
     none = np.zeros((0, len(names)))
     return SignalFit(values, row, misfits, none, np.zeros(0), {}, {}, {}, {}, 0, why)
@@ -260,7 +259,7 @@ def _sampled(
     measured, nearest = record.row, optima[0].residual
 
     def target(normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        rows, responses = answered(forward, np.asarray(inputs.values(jnp.asarray(normal))))
+        rows, responses = answered(forward, np.asarray(inputs.values(normal)))
         residuals = rows - measured
         density = -0.5 * np.sum(normal**2, axis=1)
         for name, part in zip(record.names, record.parts, strict=True):
@@ -279,7 +278,7 @@ def _sampled(
     scale = _scale(record, misfits)
     matrices = [np.linalg.inv(fit.information(scale)) for fit in optima]
     sample = importance_sampled(target, [fit.normal for fit in optima], matrices, draws, seed)
-    values = np.asarray(inputs.values(jnp.asarray(sample.normal)))
+    values = np.asarray(inputs.values(sample.normal))
     responses = dict(zip(names, sample.extras.T, strict=True))
     return _Sample(sample, values, responses, len(values))
 
@@ -297,7 +296,7 @@ def _make_fit(
             f"{len(weights)} draws are worth {sample.draws.effective:.0f} of equal weight, too few "
             'for an interval; give more draws, or ask how="statistics".',
         )
-    scores = np.asarray(problem.inputs.scores(jnp.asarray(sample.draws.normal)))
+    scores = np.asarray(problem.inputs.scores(sample.draws.normal))
     shares = np.asarray(ndtr(scores))
     unknowns = {
         name: _interval_of_unknown(problem, i, shares[:, i], sample.values[:, i], weights)
@@ -308,7 +307,7 @@ def _make_fit(
         middle, low, high = (weighted_quantile(response, weights, x) for x in (0.5, *ENDS))
         prior = (weighted_quantile(response, sample.draws.prior_weights, x) for x in ENDS)
         answers[name] = CredibleInterval(middle, low, high, _deviation(response, weights), *prior)
-    values = np.asarray(problem.inputs.values(jnp.asarray(best.normal)))
+    values = np.asarray(problem.inputs.values(best.normal))
     return SignalFit(
         values,
         record.row + best.residual,
@@ -326,7 +325,7 @@ def _make_fit(
 def _interval_of_unknown(problem, place, shares, values, weights) -> CredibleInterval:
     low, high = shortest_interval(shares, weights)
     distribution, nominal = problem.inputs.distributions[place], float(problem.nominal()[place])
-    at = lambda share: nominal + float(distribution.quantile(jnp.asarray(share)))
+    at = lambda share: nominal + float(distribution.quantile(share))
     inside = lambda share, extreme: at(share) if np.isfinite(at(share)) else extreme
     ends = inside(low, values.min()), inside(high, values.max())
     median = weighted_quantile(values, weights, 0.5)

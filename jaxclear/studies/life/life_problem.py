@@ -50,8 +50,6 @@ from jaxclear.studies.responses import answer, by_name, check_responses
 
 # From which part of a cycle what every life tells of is drawn.
 DRAWN_FROM = {DEPTH: "worn depth", VOLUME: "wear"}
-# The rate at which a life goes on is that over its last part, this share of it.
-LAST = 0.1
 # A life that is to reach a limit is lived so much longer than its last rate says it takes, and so
 # often anew: rates fall as contacts widen. One that takes more than so many times what its first
 # rate says is taken to end nowhere: wear that dies away would be followed for ever.
@@ -161,10 +159,7 @@ class LifeUntil(AbstractLifeResponse):
     def ahead(self, life):
         if np.isfinite(life.until(self.name, float(self.limit)).cycles):
             return 0.0
-        last = float(life.cycles[-1])
-        before, now = life.over_life(self.name, [(1.0 - LAST) * last, last])
-        more = (float(self.limit) - now) / (now - before) if now != before else np.inf
-        return LAST * last * more if more > 0 else np.inf
+        return life.cycles_ahead(self.name, float(self.limit))
 
 
 def _error_at_end(life: WearLife, name: str, value: float) -> float:

@@ -31,6 +31,9 @@ LOOKS = 64
 # The slope of a response is taken over twice this share of the way between two stages.
 SLOPE_OVER = 1e-3
 DEPTH, VOLUME = "depth", "volume"
+# The rate at which a life goes on is that over its last part, this share of it.
+LAST = 0.1
+HOUR = 3600.0
 TINY = np.finfo(float).tiny
 
 
@@ -112,8 +115,9 @@ class WearLife(AbstractAnswer):
     def by_saves(self) -> np.ndarray:
         """By which share the depth that a cycle wears at each stage, root mean square over the
         cells of the worst surface, would be another one if surfaces were updated at every fourth of
-        its saving times alone: between the cycles that are simulated they are updated at each. A
-        bound of what the life is off: surfaces that wear on level some of it."""
+        its saving times alone; between the cycles that are simulated they are updated as contacts
+        move, at most at each. A bound of what the life is off: surfaces that wear on level some of
+        it."""
         shares = []
         for stage in self.stages:
             other = np.concatenate(
@@ -185,12 +189,38 @@ class WearLife(AbstractAnswer):
         function = self._function(name)
         at = first_crossing(function, self.cycles, float(limit))
         if at is None:
-            value = function(last)
-            sentence = f"The {name} is {value:.4g} {unit} after {last:.4g} cycles, not {limit:.4g}."
-            return Lifetime(np.inf, np.nan, f"{sentence} {self.ended}".rstrip())
+            sentence = (
+                f"The {name} is {function(last):.4g} {unit} after {last:.4g} cycles and does not "
+                f"reach {limit:.4g}"
+            )
+            far = last + self.cycles_ahead(name, float(limit))
+            if np.isfinite(far) and not self.ended:
+                sentence += f"; at its last rate it would after about {self._time(far, 2)}"
+            return Lifetime(np.inf, np.nan, f"{sentence}. {self.ended}".rstrip())
         error = self._shift(name, at)
-        message = f"The {name} reaches {limit:.4g} {unit} after {at:.4g} ± {error:.1g} cycles."
-        return Lifetime(at, error, message)
+        reached = f"The {name} reaches {limit:.4g} {unit} after "
+        return Lifetime(at, error, f"{reached}{self._time(at, 4, f' ± {error:.1g}')}.")
+
+    def _time(self, cycles: float, digits: int, error: str = "") -> str:
+        """Cycles in words, with their time at the frequency of the machine."""
+        period = float(self.problem.duration)
+        hours = cycles * period / HOUR
+        return f"{cycles:.{digits}g}{error} cycles ({hours:.{digits}g} h at {1 / period:.4g} Hz)"
+
+    def cycles_ahead(self, name: str, limit: float) -> float:
+        """Cycles that a quantity takes from the end to a limit at its last rate.
+
+        Args:
+            name: name of the quantity.
+            limit: the value [unit of the quantity].
+
+        Returns:
+            The number of cycles; infinite where it never gets there.
+        """
+        last = float(self.cycles[-1])
+        before, now = self.over_life(name, [(1.0 - LAST) * last, last])
+        ahead = LAST * last * (limit - now) / (now - before) if now != before else np.inf
+        return float(ahead) if ahead > 0 else np.inf
 
     def _shift(self, name: str, at: float) -> float:
         """By how many cycles errors may shift the time at which a quantity has its value."""
@@ -289,8 +319,8 @@ class WearLife(AbstractAnswer):
         by_saves = float(self.by_saves.max())
         if by_saves > self.accuracy:
             text += (
-                " Between simulated cycles surfaces are updated at the saving times of a cycle; at "
-                "a fourth of these a cycle would spread wear otherwise, by up to "
+                " Between simulated cycles surfaces are updated as contacts move, as far as "
+                "saving times tell; a fourth of these would spread wear otherwise, by up to "
                 f"{100 * by_saves:.2g} % of the depth of cells. Volumes do not depend on them."
             )
         return text

@@ -24,7 +24,7 @@ from jaxclear.simulation.wear import with_coarser_cells
 from jaxclear.studies.answer import AbstractAnswer, Column, Stated, with_unit
 from jaxclear.studies.life.cycle import as_problem, check_cycle, check_cycles, check_period
 from jaxclear.studies.life.rates import Rates
-from jaxclear.studies.life.result import DEPTH, VOLUME, Stage, WearLife
+from jaxclear.studies.life.result import DEPTH, HOUR, VOLUME, Stage, WearLife
 from jaxclear.studies.life.settling import Patience
 from jaxclear.studies.life.steps import (
     CycleFailed,
@@ -52,7 +52,8 @@ def wear_life(
     subject: Mechanism | Problem,
     period: float | None = None,
     *,
-    cycles: float = 1e6,
+    cycles: float | None = None,
+    hours: float | None = None,
     accuracy: float = 1e-2,
     jump: float | None = None,
     max_cycles: int = 12,
@@ -72,7 +73,9 @@ def wear_life(
         subject: a `Mechanism`, or a `Problem` whose duration is the period, at its nominal values,
             and whose responses are followed.
         period: period of a mechanism [s], > 0; None for a problem.
-        cycles: number of cycles, at most 2^53; 1e6 by default.
+        cycles: number of cycles, at most 2^53; by default 1e6 of a problem, of a mechanism it or
+            `hours` must be given.
+        hours: hours of operation [h], > 0, in the place of `cycles`; None by default.
         accuracy: relative error of a jump [1], > 0; 0.01 by default.
         jump: fixed length of the jumps [cycles], each with the wear rate at its start; None
             (default) for chosen ones.
@@ -91,16 +94,27 @@ def wear_life(
         SimulationError: if the first cycle fails.
     """
     problem = as_problem("wear_life", subject, period)
-    check_cycles("wear_life", cycles)
+    if hours is not None:
+        check_number("hours of wear_life", hours, "h", above=0)
+        if cycles is not None:
+            raise ValueError("wear_life is given cycles and hours; leave one of them out.")
+        cycles = max(HOUR * hours / float(problem.duration), 1.0)
+    length = 1e6 if cycles is None else cycles
+    check_cycles("wear_life", length)
     check_number("accuracy of wear_life", accuracy, above=0)
     if jump is not None:
         check_number("jump of wear_life", jump, at_least=1)
     check_count("max_cycles of wear_life", max_cycles)
     check_flags("wear_life", progress_bar=progress_bar, verify=verify)
     check_wear_problem(problem)
+    if cycles is None and period is not None:
+        raise ValueError(
+            f"wear_life is given a period of {float(period):g} s and no number of cycles: give it "
+            "by name, cycles=..., or hours=... of operation."
+        )
     with open_store(store, "a wear life", problem), progress.bar(progress_bar, "wear life"):
         rates = Rates(problem, problem.nominal(), Patience(SETTLED, accuracy, max_cycles))
-        life = lived(rates, float(cycles), float(accuracy), jump)
+        life = lived(rates, float(length), float(accuracy), jump)
     if not verify:
         return life
     # Outside the folder, which knows cycles by their surfaces alone.

@@ -3,7 +3,6 @@
 from typing import Any
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 import scipy
 
@@ -84,7 +83,7 @@ class Reliability(AbstractAnswer):
 
     def design_point(self, index: int = 0) -> dict[str, float]:
         """Values of the variables of a design point, by name, in their units."""
-        values = self.problem.inputs.values(jnp.asarray(self.points[index].normal))
+        values = self.problem.inputs.values(self.points[index].normal)
         return {name: float(v) for name, v in zip(self.problem.names, values, strict=True)}
 
     def _stated(self):

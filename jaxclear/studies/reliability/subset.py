@@ -246,7 +246,7 @@ class Reach:
 
     def _nearest_text(self, normal: np.ndarray, far: str) -> str:
         problem, limit = self.model.problem, self.model.limit
-        values = np.asarray(problem.inputs.values(jnp.asarray(normal)))
+        values = np.asarray(problem.inputs.values(normal))
         units, responses = problem.units(), problem.evaluate(jnp.asarray(values)).responses
         self.model.runs += 1
         nominal = np.asarray(problem.nominal())

@@ -195,7 +195,8 @@ def confirmed(
     middle, spread = _covering([estimates[name] for name in order])
     if spread <= STEPS * max(abs(middle), size.value):
         names = " and ".join(order)
-        return answer(middle, spread, names, f"Agreed by {names}.", trustworthy=True)
+        verdict = f"From {names}, which agree."
+        return answer(middle, spread, names, verdict, trustworthy=True)
     return answer(middle, spread, "spread of methods", "The methods disagree.")
 
 
@@ -263,10 +264,12 @@ def _agreement(
     others = [other for other in order if other != name and other not in partners]
     nearest = min(estimates[other].error for other in partners)
     zero = best.error > abs(best.value)
-    verdict = f"Agreed by {name} and {' and '.join(partners)}"
-    verdict += f" within ±{in_few(nearest, 2)}" if nearest > ROUNDING * abs(best.value) else ""
-    verdict += f"; not by {' and '.join(others)}." if others else "."
     # What is wider than the value agrees with its opposite too.
-    if nearest > abs(best.value) and not zero:
-        verdict += f" That says little: it is more than the value, which is that of {name} alone."
+    is_wide = nearest > abs(best.value) and not zero
+    width = f" (±{in_few(nearest, 2)})" if nearest > ROUNDING * abs(best.value) else ""
+    by = f"{' and '.join(partners)}{width}"
+    verdict = f"From {name}, confirmed by {by}."
+    if is_wide:
+        verdict = f"From {name}. That by {by} is consistent but too wide to confirm it."
+    verdict += f" Not confirmed by {' and '.join(others)}." if others else ""
     return f"{verdict} Not distinguishable from zero." if zero else verdict

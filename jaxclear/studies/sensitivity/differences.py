@@ -13,7 +13,6 @@ import itertools
 from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from jaxclear.integrators import Outcome
@@ -104,7 +103,7 @@ def moved(
     # Where it takes long to compile, and these are enough, by the program of the first look.
     one = len(values) >= FIRST and not problem.cost().cheap
     chunk = chunk_size(problem, len(SHIFTS) * FIRST) if one else None
-    flat = jnp.asarray(each.reshape(-1, each.shape[2]))
+    flat = each.reshape(-1, each.shape[2])
     rows = evaluate_all(problem, flat, chunk=chunk, progress_bar=progress_bar, label="differences")
     return Runs(rows, group)
 
@@ -161,7 +160,7 @@ def _bend(problem: Problem, direction: Direction, one: Functional, rows: np.ndar
     densities = np.array(distribution.end_densities())
     if not densities.any():
         return 0.0
-    ends = np.asarray(distribution.of_score(jnp.array([-END_SCORE, END_SCORE])))
+    ends = np.asarray(distribution.of_score(np.array([-END_SCORE, END_SCORE])))
     speeds = np.ones(2) if direction.number is None else ends / direction.number
     return float(np.max(np.abs(speeds) * densities))
 

@@ -14,7 +14,6 @@ doi:10.1080/01621459.1974.10482962.
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -23,6 +22,7 @@ import scipy
 from jaxclear.ground.arguments import check_name, check_number, expect
 from jaxclear.ground.numerics import safe_divide
 from jaxclear.ground.wording import described, listed
+from jaxclear.native.compiled import compiled_quickly
 from jaxclear.studies.infinite_responses import INSTEAD, check_within_horizon, replace_infinite
 from jaxclear.studies.problem import Problem
 from jaxclear.studies.statistics.scrambled import ordinary_quantile, smooth_quantile
@@ -284,7 +284,7 @@ def _speed(distribution, number):
     return speed
 
 
-@eqx.filter_jit
+@compiled_quickly
 def _weights(distribution, number, scores, leaning):
     speed, rate = jax.jvp(_speed(distribution, number), (scores,), (jnp.ones_like(scores),))
     return speed * leaning - rate
@@ -303,4 +303,4 @@ def weights(problem: Problem, direction: Direction, normal: np.ndarray) -> np.nd
         # The i-th component of correlation^-1 scores.
         leaning = normal @ np.asarray(inputs.inverse_root)[:, i]
     law = inputs.distributions[i]
-    return np.asarray(_weights(law, direction.number, jnp.asarray(scores), jnp.asarray(leaning)))
+    return np.asarray(_weights(law, direction.number, scores, leaning))

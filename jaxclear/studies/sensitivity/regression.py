@@ -20,13 +20,10 @@ sampling: Hesterberg 1995, Technometrics 37, 185, doi:10.1080/00401706.1995.1048
 
 from typing import NamedTuple
 
-import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 import scipy
 
 from jaxclear.studies.distribution.base import END_SCORE
-from jaxclear.studies.inputs import Inputs
 from jaxclear.studies.monte_carlo import MonteCarlo
 from jaxclear.studies.problem import Problem
 from jaxclear.studies.run_warnings import concern
@@ -90,13 +87,11 @@ def runs_outside(problem: Problem, scramblings: np.ndarray, seed: int, progress_
     # Within the scores at which distributions are asked.
     inside = scipy.special.ndtr(-END_SCORE / scales)
     normal = scales * scipy.special.ndtri(inside + (1.0 - 2.0 * inside) * shares)
-    values = np.asarray(problem.inputs.values(jnp.asarray(normal)))
+    values = np.asarray(problem.inputs.values(normal))
     group = np.repeat(names, each)
     if not len(shares):
         return Outer(normal, values, {n: np.zeros(0) for n in problem.response_names}, group)
-    result = evaluate_all(
-        problem, jnp.asarray(values), progress_bar=progress_bar, label="further out"
-    )
+    result = evaluate_all(problem, values, progress_bar=progress_bar, label="further out")
     return Outer(normal, values, result.reached_responses(), group)
 
 
@@ -166,9 +161,9 @@ def runs_at_ends(
     alone = len(problem.names) == 1
     base = draw(problem, 1 if alone else scramblings, seed, scramblings=1 if alone else scramblings)
     values = np.stack([base, base])
-    ends = np.asarray(distribution.of_score(jnp.array([-END_SCORE, END_SCORE])))
+    ends = np.asarray(distribution.of_score(np.array([-END_SCORE, END_SCORE])))
     values[:, :, variable] = float(problem.nominal()[variable]) + ends[:, None]
-    flat = jnp.asarray(values.reshape(-1, values.shape[2]))
+    flat = values.reshape(-1, values.shape[2])
     result = evaluate_all(problem, flat, progress_bar=progress_bar, label="ends")
     responses = {name: r.reshape(2, -1) for name, r in result.reached_responses().items()}
     group = np.full(1, -1) if alone else np.arange(scramblings)
@@ -232,7 +227,7 @@ def regressions(
         return {one.label: refused(why) for one in functionals}
     assert outer is not None
     fit = LocalPolynomial(problem, i, len(values))
-    normal = np.asarray(normal_scores_of(problem.inputs, jnp.asarray(values)))
+    normal = np.asarray(problem.inputs.normal(values))
     weight = weights(problem, direction, np.concatenate([normal, outer.normal]))
     many = Many.drawn(problem, direction, fit, len(np.unique(group)), MANY_SEED + sample.seed)
     answers = {}
@@ -322,12 +317,6 @@ def ending_of(ends: Ends, fit: LocalPolynomial, direction: Direction, one: Funct
     basis = np.stack([fit.basis(row) for row in ends.values])
     factors = np.array([-1.0, 1.0]) * speeds * ends.densities
     return Ending(factors, basis, one.bounded(ends.responses[one.response]), ends.scrambling)
-
-
-@eqx.filter_jit
-def normal_scores_of(inputs: Inputs, values):
-    """Independent standard normal numbers of a sample; compiled once for a problem."""
-    return inputs.normal(values)
 
 
 def fitted(basis: np.ndarray, target: np.ndarray, ratio: np.ndarray | None = None) -> np.ndarray:

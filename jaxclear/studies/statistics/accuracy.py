@@ -125,9 +125,12 @@ class NumericalError(NamedTuple):
     @property
     def unresolved(self) -> str:
         """A sentence for a bias that replicas do not resolve."""
-        text = f"Steps put it off by {self.bias:.2g} ± {self.uncertainty:.2g}, as far as"
-        few = f"{text} {self.replicas} replicas tell"
-        return f"{few}; about {self.wanted:.0f} would." if np.isfinite(self.wanted) else f"{few}."
+        text = (
+            f"The error by the steps, {self.bias:.2g} ± {self.uncertainty:.2g} from "
+            f"{self.replicas} companion runs, is not resolved"
+        )
+        more = f"; about {self.wanted:.0f} would resolve it" if np.isfinite(self.wanted) else ""
+        return f"{text}{more}."
 
 
 def bias_of(

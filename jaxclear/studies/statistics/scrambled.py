@@ -29,7 +29,7 @@ ROUNDING = 1e-12
 # Samples for each coefficient of a polynomial that takes up what it explains of them.
 SAMPLES_A_TERM = 6
 # Of an error budget, beside its variables.
-REST = "what no plane explains"
+REST = "remainder (not linear)"
 
 
 @with_text_repr
@@ -263,7 +263,7 @@ def error_budget(
     places of the numbers of each variable.
 
     A plane through the responses has a slope by every variable; slope times deviation, squared, is
-    that variable's part. What no plane explains (curvature, interplay, chaos) stands beside them.
+    that variable's part. The remainder (curvature, interactions, chaos) stands beside them.
     Of correlated variables a part holds half of what each pair shares, and may be negative.
     """
 

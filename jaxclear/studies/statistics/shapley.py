@@ -192,7 +192,7 @@ def _samples(inputs: Inputs, sets: list[list[int]], group: np.ndarray, seed: int
             anew = normal[:, count + np.array(rest)] @ np.linalg.cholesky(conditional).T
             drawn[:, rest] = scores[:, one] @ follow.T + anew
         rows.append(drawn)
-    return inputs.of_scores(jnp.asarray(np.concatenate(rows)))
+    return inputs.of_scores(np.concatenate(rows))
 
 
 def _with_open(effect: Statistic, beyond: float, open_: float, explained: float) -> Statistic:

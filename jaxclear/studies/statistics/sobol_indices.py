@@ -131,7 +131,7 @@ def sobol_indices(
         mixed = base.copy()
         mixed[:, list(members)] = other[:, list(members)]
         columns.append(mixed)
-    values = problem.inputs.values(jnp.asarray(np.concatenate(columns)))
+    values = problem.inputs.values(np.concatenate(columns))
     result = evaluate_all(problem, values, progress_bar=progress_bar, label="Sobol' indices")
     reached = (np.asarray(result.outcome) == Outcome.REACHED).reshape(len(columns), -1)
     refuse_infinite(problem, result.responses, "variance")

@@ -55,8 +55,11 @@ def summary_row(study: Any, name: str, limits: Mapping[str, Limits]) -> dict[str
         row[f"{label} error"] = statistic.error
     if study.replicas is not None:
         row |= _by_steps(study, name)
-    row["mean without warned"] = clean.mean() if bounded and len(clean) else np.nan
-    row["standard deviation without warned"] = deviation(clean, clean_group) if bounded else np.nan
+    if len(study.warned):
+        good = bounded and len(clean)
+        row["mean, samples without warnings"] = clean.mean() if good else np.nan
+        spread = deviation(clean, clean_group) if bounded else np.nan
+        row["standard deviation, samples without warnings"] = spread
     if study.problem.description.responses[name].infinite:
         row["infinite"] = int(np.isinf(values).sum())
     return row
@@ -149,15 +152,16 @@ def remarks_of(study: Any, summary: Any) -> tuple[str, ...]:
     sentences = []
     for infinite, labels in open_.items():
         enough = max(samples_that_bound(PERCENTILES[label], groups) for label in labels)
-        more = f": about {enough:.0f} do" if study.count < enough < np.inf else ""
+        more = f"; about {enough:.0f} are needed" if study.count < enough < np.inf else ""
         which = f"the {' and '.join(labels)} quantile{'s' if len(labels) > 1 else ''}"
         sentences += [
-            f"{study.count} samples do not bound {which} of {listed(infinite)}{more}."
+            f"{study.count} samples are too few for an interval of {which} of {listed(infinite)}"
+            f"{more}."
         ] * bool(infinite)
     heavy = [(name, _coverage_if_heavy(study.good(name)[0])) for name in names]
     sentences += [
-        f'Few samples decide the standard deviation of "{name}", whose tails are heavy: its 95 % '
-        f"interval holds it in about {100 * max(coverage, 0.0):.0f} % of cases."
+        f'"{name}" has heavy tails: the 95 % interval of its standard deviation contains it in '
+        f"about {100 * max(coverage, 0.0):.0f} % of cases."
         for name, coverage in heavy
         if coverage < PROMISED
     ]

@@ -24,13 +24,14 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array, Float
 from tqdm import tqdm
 
+from jaxclear.ground.description import describe
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.integrators.checks import Check, Checks
 from jaxclear.native import calls_lapack, stop, stoppable, stops
 from jaxclear.native.compiled import Prepared, prepared
 from jaxclear.studies.experiment import SampleResult
 from jaxclear.studies.problem import Problem
-from jaxclear.studies.store.digest import describe, in_texts
+from jaxclear.studies.store.digest import in_texts
 from jaxclear.studies.store.store import CURRENT, Chunk, Store, compute_address
 
 # Memory for one chunk [bytes] on machines with a few GiB a core.
@@ -38,6 +39,8 @@ CHUNK_MEMORY = 1 << 30
 # Runs come in chunks of no fewer samples than these, where there are as many, so that there are so
 # many chunks for each thread: the threads end together, and what is finished is seen.
 LEAST_CHUNK, CHUNKS_A_THREAD = 64, 8
+# Samples come in multiples of these, copies of the last one where there are fewer.
+LANES = 8
 # [s] between looks at whether others have finished the chunks that they are at.
 PATIENCE = 0.2
 # What is kept of each sample; the figures of its checks, and when they were met.
@@ -92,7 +95,8 @@ def chunk_size(problem: Problem, samples: int, chunk: int | None = None) -> int:
     size = min(usual_batch(problem), -(-samples // threads_of()))
     if jax.default_backend() == "cpu" and not problem.cost().cheap:
         size = min(size, max(LEAST_CHUNK, -(-samples // (CHUNKS_A_THREAD * threads_of()))))
-    return max(1, size)
+    # Fewer than fill a vector of the processor take as long, and a program of their own.
+    return max(1, size, min(-(-size // LANES) * LANES, usual_batch(problem)))
 
 
 @eqx.filter_jit

@@ -143,7 +143,7 @@ class Expansion(NamedTuple):
         every = np.broadcast_to(scores[:, None], (SCORES, powers.shape[1]))
 
         def law(scores):
-            values = np.asarray(inputs.of_scores(jnp.asarray(scores)))
+            values = np.asarray(inputs.of_scores(scores))
             inside = np.clip(values, points.min(axis=0), points.max(axis=0))
             at = np.asarray(jax.vmap(polynomials)(jnp.asarray(inside if is_clipped else values)))
             return inside != values, at

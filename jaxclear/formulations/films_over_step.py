@@ -1,0 +1,240 @@
+"""Films over an implicit step, so that no step is too long for a stiff one.
+
+A film's force is that at the mean squeeze velocity of the step, the journal where it is in the
+middle of it by that velocity. The force is linear in the velocity but for its direction, so what a
+step sets out from matters by its direction alone: the mean of the step before. Forces of films on
+each other and on contacts are solved for by their responses (Schur's complement), because a film's
+tangent is not symmetric.
+"""
+
+import dataclasses
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from jaxclear.components.journal_film import JournalFilm, film_of
+from jaxclear.formulations.contact_rows import MiddleOfStep, TimeStep, split
+from jaxclear.formulations.delassus import ContactSolution, ImplicitContact, LinearLaws
+from jaxclear.formulations.model import Model
+from jaxclear.ground import sparse as sp
+from jaxclear.ground.quantity import with_fields
+from jaxclear.multibody import kinematics
+from jaxclear.multibody.forces import Forces, with_rows
+from jaxclear.multibody.rows import Direction, LinearRate, OnClosure, Row, combine_rates
+from jaxclear.multibody.state import unpack_motion
+from jaxclear.multibody.system import System
+from jaxclear.multibody.tree import Wrench
+
+# Directions of a film's force.
+AXES = 2
+# Forces along these axes, and a torque.
+UNITS = (1, 0, 0), (0, 1, 0), (0, 0, 1)
+
+
+class FilmOverStep(NamedTuple):
+    """A film over a step of a `length` [s]: where its forces act, on an `arm` that is the journal's
+    offset in the middle [m] as far as it is known, the `rates` along these (the squeeze velocity
+    there), the journal's offset as the step begins [m], the relative `spin` [rad/s], and the mean
+    velocity of the journal in the step before [m/s], 0 if there was none."""
+
+    name: str
+    film: JournalFilm
+    directions: tuple[Direction, ...]
+    rates: tuple[LinearRate, ...]
+    start: tuple
+    arm: tuple
+    spin: Any
+    last: tuple
+    length: Any
+
+    def tangent(self, rates: tuple, frozen: Any) -> tuple[tuple, list]:
+        """Forces at mean rates, and by how much each falls with each rate; the journal where the
+        rates lead, or where `frozen` where those of the step before do."""
+        half = 0.5 * self.length
+
+        def force(rates):
+            turned, before = turning(self.arm, self.spin), self.last
+            moved = zip(self.start, rates, turned, before, strict=True)
+            offset = tuple(x + half * jnp.where(frozen, v, r + t) for x, r, t, v in moved)
+            off_arm = zip(rates, turned, turning(offset, self.spin), strict=True)
+            return self.film.squeeze_force(offset, tuple(r + t - now for r, t, now in off_arm))
+
+        rates = tuple(jnp.asarray(rate, float) for rate in rates)
+        one, none = jnp.ones(()), jnp.zeros(())
+        value, along = jax.jvp(force, (rates,), ((one, none),))
+        _, across = jax.jvp(force, (rates,), ((none, one),))
+        return value, [[-along[i], -across[i]] for i in range(AXES)]
+
+    def first_rates(self, free: tuple) -> list:
+        """Rates to set out from: those of the step before, or without one the `free` ones."""
+        before = zip(self.last, turning(self.arm, self.spin), free, strict=True)
+        return [jnp.where(self.begun, v - t, rate) for v, t, rate in before]
+
+    def mean_velocity(self, rates: tuple) -> tuple:
+        """Mean velocity of the journal in the bearing at mean rates [m/s]."""
+        return tuple(r + t for r, t in zip(rates, turning(self.arm, self.spin), strict=True))
+
+    @property
+    def begun(self) -> Any:
+        """Whether there was a step before."""
+        return sp.total(abs(x) for x in self.last) > 0
+
+
+def turning(offset: tuple, spin: Any) -> tuple:
+    """Half the spin times an offset, a quarter turn on [m/s]: by which the squeeze velocity lacks
+    the journal's."""
+    return sp.mul(-0.5, sp.mul(spin, offset[1])), sp.mul(0.5, sp.mul(spin, offset[0]))
+
+
+def films_of(system: System) -> dict[str, JournalFilm]:
+    """The films of joints whose forces steps may find, by name."""
+    filled = [name for name, own in system.bearings.items() if own.joint.gap_load(name) is not None]
+    return {film_of(name): system.loads[film_of(name)] for name in filled}
+
+
+def without_films(model: Model) -> Model:
+    """The model whose films act by their shear alone; itself without films."""
+    films = films_of(model.system)
+    if not films:
+        return model
+    sheared = {n: with_fields(film, sheared=True) for n, film in films.items()}
+    system = dataclasses.replace(model.system, loads=model.system.loads | sheared)
+    return dataclasses.replace(model, system=system)
+
+
+def films_over_step(
+    system: System, middle: MiddleOfStep, past: tuple, time_step: TimeStep
+) -> tuple[FilmOverStep, ...]:
+    """The films over a step; `past`: mean velocities of their journals in the step before."""
+    time, length = time_step
+    films, result = films_of(system), []
+    if not films:
+        return ()
+    motions = middle.free_motion.forces.motions
+    motion = unpack_motion(system, [*middle.q, *middle.v])
+    begun = kinematics.link_motions(system, *motion, time)
+    for (name, film), last in zip(films.items(), past, strict=True):
+        closure = system.load_closures[name]
+        pose = kinematics.relative_motion(closure, motions)[1]
+
+        def along(x, y, turn):
+            wrench = Wrench((x, y, 0), (0, 0, turn))
+            return Direction((OnClosure(closure, pose, wrench, film.connection),))
+
+        units = [along(*unit).linear_rate(system, motions) for unit in UNITS]
+        spin = units[-1].value
+        start = kinematics.relative_motion(closure, begun)[1].translation[:AXES]
+        arm = tuple(x + 0.5 * length * v for x, v in zip(start, last, strict=True))
+        sizes = (1, 0, 0.5 * arm[1]), (0, 1, -0.5 * arm[0])
+        rates = tuple(combine_rates(size, units) for size in sizes)
+        directions = tuple(along(*size) for size in sizes)
+        result.append(FilmOverStep(name, film, directions, rates, start, arm, spin, last, length))
+    return tuple(result)
+
+
+def solve_with_films(
+    equations: ImplicitContact, reaches: list, unmoved: list, laws: LinearLaws, tangents: list
+) -> ContactSolution:
+    """The solution with films whose rows are the last ones; `tangents` of each: its forces, how
+    they fall with its rates, and the rates at which."""
+    if not tangents:
+        return equations.solve(reaches, unmoved, laws)
+    size, count = len(unmoved), AXES * len(tangents)
+    none, first = [0.0] * size, len(unmoved) - count
+    films = range(first, size)
+    base = equations.solve(reaches, unmoved, laws)
+    responses = [
+        equations.solve(reaches, none, LinearLaws(one_of(size, j), laws.dampings, none))
+        for j in films
+    ]
+    matrix, right = [], []
+    for k, (forces, falls, about) in enumerate(tangents):
+        own = range(first + AXES * k, first + AXES * (k + 1))
+        for i in range(AXES):
+            gain = [
+                sp.total(falls[i][m] * response.rates[r] for m, r in enumerate(own))
+                for response in responses
+            ]
+            matrix.append([g + float(AXES * k + i == j) for j, g in enumerate(gain)])
+            gone = [base.rates[r] - about[m] for m, r in enumerate(own)]
+            right.append(forces[i] - sp.dot(falls[i], gone))
+    sizes = eliminated(matrix, right)
+    add = lambda part: [
+        sp.add(x, sp.dot(sizes, [getattr(response, part)[i] for response in responses]))
+        for i, x in enumerate(getattr(base, part))
+    ]
+    return ContactSolution(*map(add, ContactSolution._fields))
+
+
+def velocity_lag(
+    system: System,
+    films: tuple[FilmOverStep, ...],
+    end: tuple[Any, list, list],
+    means: list[tuple],
+    equations: ImplicitContact,
+    size: int,
+) -> list:
+    """By what the speeds at the `end` of a step (time, coordinates, speeds) lack those to which
+    the mean velocities of journals in films lead; `size`: number of rows of the `equations`.
+
+    A stiff film determines the mean velocity of a step; the one at its end alternates about it.
+    """
+    time, q, v = end
+    motions = kinematics.link_motions(system, *unpack_motion(system, [*q, *v]), time)
+    rows, lags = [], []
+    for film, mean in zip(films, means, strict=True):
+        closure = system.load_closures[film.name]
+        pose = kinematics.relative_motion(closure, motions)[1]
+        for unit, now, before in zip(UNITS, mean, film.last, strict=False):
+            wrench = Wrench(unit, (0, 0, 0))
+            rate = Direction((OnClosure(closure, pose, wrench),)).linear_rate(system, motions)
+            rows.append(rate.row)
+            lags.append(now + jnp.where(film.begun, 0.5 * (now - before), 0.0) - rate.value)
+    none, ones = [0.0] * size, [1.0] * size
+    columns = [
+        equations.solve(ones, none, LinearLaws(one_of(size, j), none, none)).accelerations
+        for j in range(size - len(rows), size)
+    ]
+    matrix = [[kinematics.along(row, column) for column in columns] for row in rows]
+    sizes = eliminated(matrix, lags)
+    return [sp.dot(sizes, entries) for entries in zip(*columns, strict=True)]
+
+
+def one_of(size: int, index: int) -> list:
+    """So many numbers, 1 at the index and 0 elsewhere."""
+    return [float(i == index) for i in range(size)]
+
+
+def eliminated(matrix: list[list], right: list) -> list:
+    """Solution of a small system that is not symmetric and needs no pivots."""
+    matrix, right, size = [list(row) for row in matrix], list(right), len(right)
+    for k in range(size):
+        for i in range(k + 1, size):
+            factor = matrix[i][k] / matrix[k][k]
+            matrix[i] = [a - factor * b for a, b in zip(matrix[i], matrix[k], strict=True)]
+            right[i] = right[i] - factor * right[k]
+    result: list[Any] = [0.0] * size
+    for k in reversed(range(size)):
+        later = sp.total(matrix[k][j] * result[j] for j in range(k + 1, size))
+        result[k] = sp.sub(right[k], later) / matrix[k][k]
+    return result
+
+
+def per_film(films: tuple[FilmOverStep, ...], values: Any) -> list[tuple]:
+    """One value per row, of which the last are those of films, as one tuple per film."""
+    first = len(values) - AXES * len(films)
+    return split(values[first:], [AXES] * len(films))
+
+
+def with_films(
+    forces: Forces, films: tuple[FilmOverStep, ...], solution: ContactSolution
+) -> Forces:
+    """The forces with those of films in their mean over a step, and what these take."""
+    rows, loss = [], forces.damping_loss
+    means = per_film(films, solution.forces), per_film(films, solution.rates)
+    for film, own, speeds in zip(films, *means, strict=True):
+        pairs = zip(film.directions, own, strict=True)
+        rows += [Row(film.name, direction, force) for direction, force in pairs]
+        loss = sp.sub(loss, sp.dot(own, speeds))
+    return with_rows(forces._replace(damping_loss=loss), rows) if films else forces

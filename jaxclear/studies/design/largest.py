@@ -1,0 +1,177 @@
+"""How large a number may be, `jaxclear.largest`: the largest mean of one variable at which a limit
+holds with the 95 % error of its number. The same random numbers serve all trials, so the number
+changes smoothly with the variable and is bracketed.
+"""
+
+from pathlib import Path
+from typing import NamedTuple
+
+import equinox as eqx
+import numpy as np
+
+from jaxclear.ground.argument_errors import answering
+from jaxclear.ground.arguments import check_count, check_flags, check_name, check_number, expect
+from jaxclear.ground.printing import as_written, in_few, with_error
+from jaxclear.studies.answer import AbstractAnswer, Column, Stated
+from jaxclear.studies.design.limit import AbstractLimit
+from jaxclear.studies.design.population import Direct, points
+from jaxclear.studies.design.question import Question, checked_limits, freedom_of
+from jaxclear.studies.design.result import FEW_FAILED
+from jaxclear.studies.design.runs import BATCH, Runs
+from jaxclear.studies.design.verification import Verifier
+from jaxclear.studies.problem import Problem
+from jaxclear.studies.run_warnings import sentences
+from jaxclear.studies.store.store import stored
+
+
+class Trial(NamedTuple):
+    """A trial at a `value` of the variable: the limited `number` with its 95 % `error`, by how much
+    both are beyond the bound (`excess`, inf where more than 1 % of the runs fail), the share of
+    `failed` runs, and what runs warn of."""
+
+    value: float
+    number: float
+    error: float
+    excess: float
+    failed: float
+    warnings: tuple[str, ...]
+
+
+class Largest(AbstractAnswer):
+    """The largest `value` of a variable at which a limit holds; nan where it does not hold at the
+    smaller end of the range. `trials` are sorted by value; `best` is that of the answer."""
+
+    problem: Problem
+    limit: AbstractLimit
+    variable: str = eqx.field(static=True)
+    trials: tuple[Trial, ...] = eqx.field(static=True)
+    runs: int = eqx.field(static=True)
+
+    @property
+    def best(self) -> Trial | None:
+        """The trial with the largest value of those that hold; None if none does."""
+        return max((t for t in self.trials if t.excess <= 0), key=lambda t: t.value, default=None)
+
+    @property
+    def value(self) -> float:
+        """The largest value, in the unit of the variable."""
+        return np.nan if self.best is None else self.best.value
+
+    @property
+    def units(self) -> tuple[str, str]:
+        """Units of the variable and of the limited number."""
+        by_name = dict(zip(self.problem.names, self.problem.variable_units, strict=True))
+        response = (self.problem.units() | by_name)[self.limit.response]
+        return by_name[self.variable], self.limit.unit(response)
+
+    def sentence(self) -> str:
+        """How large the variable may be, and what limits it."""
+        units = [unit.removeprefix("1") for unit in self.units]
+        side = "at most" if self.limit.upper() else "at least"
+        bound = f"{side} {as_written(self.limit.bound())} {units[1]}".rstrip()
+        best = self.best
+        shown = self.trials[0] if best is None else best
+        number = f"{with_error(shown.number, shown.error)} {units[1]}".rstrip()
+        there = f"there the {self.limit.words()} is {number}"
+        value = f"{in_few(shown.value, 4)} {units[0]}".rstrip()
+        if best is None:
+            text = f"{self.variable} has no value that keeps the limit: at {value}, the smallest, "
+            return f"{text}{there.removeprefix('there ')}, not {bound}."
+        if best is self.trials[-1]:
+            return f"{self.variable} may be {value}, the largest of its range: {there} ({bound})."
+        return f"{self.variable} may be {value} at most: {there} ({bound}), by {self.runs} runs."
+
+    def _stated(self):
+        read = lambda part: [getattr(trial, part) for trial in self.trials]
+        of_variable, of_number = self.units
+        over = ("trial",)
+        columns = {
+            self.variable: Column(over, read("value"), of_variable),
+            self.limit.words(): Column(over, read("number"), of_number, error=read("error")),
+            "holds": Column(over, [trial.excess <= 0 for trial in self.trials]),
+            "failed": Column(over, read("failed"), "1"),
+        }
+        warnings = () if self.best is None else self.best.warnings
+        return Stated("largest value", columns, self.problem, warnings, labelled=False)
+
+
+@answering
+@stored("a largest value")
+def largest(
+    problem: Problem,
+    variable: str,
+    limit: AbstractLimit,
+    between: tuple[float, float],
+    *,
+    accuracy: float = 0.01,
+    samples: int = 256,
+    seed: int = 0,
+    store: str | Path | None = None,
+    progress_bar: bool = False,
+) -> Largest:
+    """Find the largest mean of a variable at which a limit holds.
+
+    The variable keeps its tolerance, all others vary as the problem says. The limit holds where its
+    number, with its 95 % error, is within the bound. A limit that holds, fails and holds again over
+    the range is bracketed at one of its crossings.
+
+    Args:
+        problem: the problem.
+        variable: name of the variable.
+        limit: a member of `jaxclear.limit` other than `WorstCase`.
+        between: smallest and largest mean, a pair in the unit of the variable.
+        accuracy: width of the last bracket relative to the answer [1], > 0; 0.01 by default.
+        samples: number of runs of each trial, >= 16; 256 by default.
+        seed: seed of the random numbers; 0 by default.
+        store: folder that keeps the runs; None (default) for none.
+        progress_bar: whether to show the progress; False by default.
+
+    Returns:
+        The `Largest`.
+
+    Raises:
+        ValueError: if an argument is wrong.
+    """
+    expect(problem, Problem, "the problem of largest", "a problem of jaxclear")
+    check_name("variable", variable, problem.names, " in this problem")
+    [checked] = checked_limits(limit, problem)
+    if checked.extreme():
+        raise ValueError(
+            f'limit.{type(limit).__name__} of "{limit.response}" looks at the ends of tolerances, '
+            "largest at samples: give a limit.Quantile or a limit.Probability."
+        )
+    freedom = freedom_of(problem, {variable: between}, None, [])
+    check_number("accuracy of largest", accuracy, above=0)
+    check_count("samples of largest", samples, at_least=16)
+    check_count("seed of largest", seed, at_least=0)
+    check_flags("largest", progress_bar=progress_bar)
+    question = Question(freedom, {}, (checked,), problem.inputs, np.ones(1))
+    runs, model = Runs(problem, progress_bar, min(BATCH, samples)), Direct(problem)
+    verifier = Verifier(question, runs, points(len(problem.names), 1, 0), corrected=False)
+    trials: list[Trial] = []
+
+    def excess_at(value: float) -> float:
+        first = runs.count
+        place = np.array([freedom.place(0, value)])
+        check = verifier.check(place, model, samples, seed, ())
+        lost = check.failed > FEW_FAILED * check.runs
+        excess = np.inf if lost else float(check.excess[0] + check.excess_errors[0])
+        warnings = sentences(problem, runs.warned(first), [limit.response])
+        numbers = float(check.numbers[0]), float(check.errors[0])
+        trials.append(Trial(value, *numbers, excess, check.failed / check.runs, warnings))
+        return excess
+
+    low, high = map(float, between)
+    below, above = excess_at(low), excess_at(high)
+    # Illinois: regula falsi that halves the weight of an end that stays.
+    while below <= 0 < above and high - low > accuracy * max(abs(low), abs(high)):
+        is_finite = np.isfinite(above) and below < above
+        share = below / (below - above) if is_finite else 0.5
+        # Neither end is tried again, and the bracket shrinks.
+        middle = low + float(np.clip(share, 0.05, 0.95)) * (high - low)
+        excess = excess_at(middle)
+        if excess <= 0:
+            low, below, above = middle, excess, 0.5 * above
+        else:
+            high, above, below = middle, excess, 0.5 * below
+    return Largest(problem, checked, variable, tuple(sorted(trials)), runs.count)

@@ -1,0 +1,79 @@
+"""What a study takes for the first time in a process: few programs, and none that another process
+has left.
+"""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import jaxclear as jc
+from jaxclear.ground import cache_folder
+from jaxclear.studies import run_experiment
+from jaxclear.studies.store.batch import LANES, chunk_size, evaluate_all
+
+PROGRAM = """
+import json
+import jax
+import jaxclear as jc
+built = []
+jax.monitoring.register_event_duration_secs_listener(
+    lambda name, *_, **told: built.append(told["fun_name"]) if "backend_compile" in name else None
+)
+problem = jc.Problem(
+    jc.scenes.slider_crank(),
+    jc.response.MeanContactForce("B"),
+    {"clearance": jc.Variable(lambda rig: rig.connections["B"].joint.clearance, tolerance=20e-6)},
+    duration=0.01,
+)
+before = len(built)
+sample = jc.monte_carlo(problem, 128)
+found = jc.sensitivity(problem, "clearance", sample=sample)
+print(json.dumps([str(sample.values.tolist()) + str(found), built[before:]]))
+"""
+
+
+def in_another_process(folder):
+    root = Path(jc.__file__).parents[1]
+    environment = os.environ | {cache_folder.VARIABLE: str(folder), "PYTHONPATH": str(root)}
+    done = subprocess.run(
+        [sys.executable, "-c", PROGRAM], env=environment, capture_output=True, text=True, check=True
+    )
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+@pytest.mark.slow
+def test_a_second_process_finds_the_programs_of_a_study(tmp_path):
+    """Although a user's function says what varies; its numbers are the same."""
+    (first, built), (second, again) = (in_another_process(tmp_path) for _ in range(2))
+    assert first == second
+    # Before distributions were evaluated without JAX they were 120.
+    assert "jit(_of_chunk)" in built and len(built) <= 15
+    assert len(again) <= 5 and not {"jit(_of_chunk)", "jit(_weights)"} & set(again)
+
+
+def test_few_samples_cost_what_their_chunk_does(monkeypatch):
+    """What a sample takes of memory is known of all mechanisms of one form; few samples share one
+    program."""
+    clearance = jc.Variable(lambda rig: rig.connections["B"].joint.clearance, tolerance=1e-6)
+    problem = jc.Problem(
+        jc.scenes.slider_crank(),
+        jc.response.MeanContactForce("B"),
+        {"clearance": clearance},
+        duration=1e-3,
+        integrator=jc.integrator.FixedStep(1e-4),
+        save=3,
+    )
+    values = np.asarray(problem.nominal())[None]
+    expected = evaluate_all(problem, values)
+    assert {chunk_size(problem, count) for count in (1, 2, LANES)} == {LANES}
+    prepared = []
+    prepare = run_experiment.prepare
+    monkeypatch.setattr(run_experiment, "prepare", lambda *a: prepared.append(a) or prepare(*a))
+    result = evaluate_all(problem, values)
+    assert prepared == []
+    assert np.array_equal(*(own.responses["response"] for own in (expected, result)))

@@ -1,0 +1,71 @@
+"""The largest mean of a variable that keeps a limit: closed forms of normal sums, and sentences."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+import jaxclear as jc
+
+SIGMA, OTHER = 3e-6, 4e-6
+
+
+def problem(function=lambda play, shift: {"error": play + shift}):
+    spread = {"play": SIGMA, "shift": OTHER}
+    kind = jc.distribution.Normal
+    dimensions = {n: jc.Dimension(40e-6, distribution=kind(s)) for n, s in spread.items()}
+    return jc.FunctionProblem(function, dimensions)
+
+
+@pytest.mark.parametrize(
+    ("limit", "exact"),
+    [
+        (
+            jc.limit.Quantile("error", at_most=140e-6, share=0.95),
+            100e-6 - norm.ppf(0.95) * np.hypot(SIGMA, OTHER),
+        ),
+        (
+            jc.limit.MeanAndDeviation("error", at_most=140e-6, deviations=2),
+            100e-6 - 2 * np.hypot(SIGMA, OTHER),
+        ),
+    ],
+)
+def test_the_largest_value_is_below_the_closed_form_by_no_more_than_its_error(limit, exact):
+    answer = jc.largest(problem(), "play", limit, (10e-6, 300e-6), accuracy=1e-3, samples=1024)
+    best = answer.best
+    # The number is the mean plus a constant: its error is that of the value.
+    assert exact - 2 * best.error - 1e-3 * exact < answer.value <= exact + 0.5 * best.error
+    beyond = min(trial.value for trial in answer.trials if trial.excess > 0)
+    assert answer.value < beyond < answer.value * (1 + 2e-3)
+    assert "play may be " in answer.sentence() and "at most: there the" in answer.sentence()
+    assert answer.table()["holds"].sum() == sum(trial.excess <= 0 for trial in answer.trials)
+
+
+def test_ends_of_the_range_and_runs_that_fail_are_said():
+    limit = jc.limit.Quantile("error", at_most=140e-6, share=0.95)
+    assert (
+        "the largest of its range" in jc.largest(problem(), "play", limit, (1e-6, 2e-6)).sentence()
+    )
+    none = jc.largest(problem(), "play", limit, (1e-3, 2e-3))
+    assert np.isnan(none.value) and "no value that keeps the limit" in none.sentence()
+    broken = problem(lambda play, shift: {"error": jnp.where(play > 6e-5, jnp.nan, play + shift)})
+    answer = jc.largest(broken, "play", limit, (10e-6, 300e-6))
+    # No more than 1 % of the parts lie beyond where none works.
+    assert answer.value == pytest.approx(60e-6 - norm.ppf(0.99) * SIGMA, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (("plays", jc.limit.Quantile("error", at_most=1.0, share=0.9), (0.0, 1.0)), "no variable"),
+        (("play", jc.limit.WorstCase("error", at_most=1.0), (0.0, 1.0)), "limit.Quantile or a"),
+        (
+            ("play", jc.limit.Quantile("error", at_most=1.0, share=0.9), (1.0, 0.0)),
+            "largest nominal",
+        ),
+        (("play", 3.0, (0.0, 1.0)), "must be members of jaxclear.limit"),
+    ],
+)
+def test_what_cannot_be_asked_is_a_sentence(arguments, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        jc.largest(problem(), *arguments)
