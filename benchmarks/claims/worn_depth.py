@@ -6,8 +6,8 @@ turn of the planar four-bar, as it is designed. Then the four-bar with three-dim
 deepest cell, volume, and CPU time beside the same run without wear. And the 3RSR's socket, after a
 settled cycle and after a million. The order is that between three numbers of cells. Then what hangs
 on saving times, of five kinds of surface, and last stated errors of depths over true ones: of
-walls that contacts wear which stand still or go to and fro, narrower and wider than cells. (A flank
-of a play has one cell, and no error of cells.)
+walls that contacts wear which stand still or go to and fro, narrower and wider than cells; and of
+flanks of a play, which have one cell and no error of cells, that of the steps of runs.
 """
 
 import itertools
@@ -51,6 +51,8 @@ AROUND, ROWS = 144, (40, 80, 160, 320)
 # error is right. Contacts go to and fro twice, in so many updates.
 OF_ERRORS, TRUE_CELLS = (24, 36, 48, 72, 96, 144, 288), {"journal": 4608, "guide": 4608}
 ALL_CELLS, RIGHT, UPDATES = 1152, (0.5, 5.0), 48
+# Steps [s] of runs whose flanks wear, and those of the true depths.
+FLANK_STEPS, TRUE_STEP = (4e-4, 3e-4, 2e-4, 1e-4), 5e-6
 # Saving times.
 COUNTS = (2, 21, 501, 2001)
 
@@ -362,6 +364,12 @@ def stated_over_true(cells: tuple[int, ...]) -> list[dict[str, Any]]:
             for how, depth in fine.items():
                 stated = factor * abs(depth - coarse[how])
                 ratios.setdefault((kind, how), []).append(stated / max(abs(true - depth), 1e-30))
+    ratios["flank", "place"] = on_flanks()
+    return _rows_of_ratios(ratios)
+
+
+def _rows_of_ratios(ratios: dict[tuple[str, str], list[float]]) -> list[dict[str, Any]]:
+    """Of stated over true errors, by kind of surface and how depths are read."""
     rows = []
     for (kind, how), of_kind in ratios.items():
         own = np.array(of_kind)
@@ -379,6 +387,37 @@ def stated_over_true(cells: tuple[int, ...]) -> list[dict[str, Any]]:
         )
         print(rows[-1], flush=True)
     return rows
+
+
+def on_flanks() -> list[float]:
+    """Stated over true errors of the depths of both flanks of a reducer that swings a wheel to and
+    fro."""
+    law = jc.wear.Archard(wear_coefficient=1e-4, hardness=2e9)
+    sizes = {"slide": 0.2, "area": 1e-4, "pitch_radius": 0.05}
+    play = jc.clearance.Backlash(1e-3, wear=law, **sizes)
+    motor = jc.coupling.Motor(2e-5)
+    gear = jc.coupling.Gear(motor, "A", ratio=100, stiffness=2e3, damping=2.0, play=play)
+    servo = jc.load.Servo("A", lambda t: 0.5 * jnp.sin(2 * jnp.pi * t), kp=400.0, kd=25.0)
+    rig = jc.Mechanism(
+        {"wheel": jc.Body(2.0, 0.5)},
+        {"A": jc.Connection(jc.joint.Revolute(), "ground", "wheel")},
+        {"servo": servo},
+        couplings={"gear": gear},
+    )
+    depths = {name: jc.response.PeakWornDepth("gear", name) for name in ("upper", "lower")}
+
+    def runs(step, verify):
+        integrator = jc.integrator.ImplicitStep(step)
+        return jc.simulate(rig, 2.0, save=21, integrator=integrator, verify=verify)
+
+    fine = runs(TRUE_STEP, False)
+    ratios = []
+    for run in (runs(step, True) for step in FLANK_STEPS):
+        for depth in depths.values():
+            stated = run.estimate(depth)
+            true = abs(float(stated.value) - float(depth(fine)))
+            ratios.append(float(stated.error) / max(true, 1e-30))
+    return ratios
 
 
 def parallel(cells: tuple[int, ...]) -> list[dict[str, Any]]:

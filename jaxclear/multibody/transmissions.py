@@ -16,6 +16,7 @@ from collections.abc import Iterable, Iterator
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
+from jaxtyping import Array
 
 from jaxclear.components.clearance.backlash import middle_of
 from jaxclear.components.function_of_angle import value_and_slope
@@ -29,7 +30,13 @@ from jaxclear.multibody.loops import Closure, CoordinateSum
 from jaxclear.multibody.meshes import Mesh
 from jaxclear.multibody.rows import Direction, OnClosure, OnLink
 from jaxclear.multibody.state import Layout
-from jaxclear.multibody.system import TWIST, System, Transmission
+from jaxclear.multibody.system import (
+    TWIST,
+    System,
+    Transmission,
+    flanks_that_wear,
+    with_worn_flanks,
+)
 from jaxclear.multibody.tree import Motion, Wrench
 
 
@@ -284,6 +291,25 @@ def within_gaps(system: System, layout: Layout, entries: list) -> list:
             moved = jnp.clip(found[place], -half, half) - found[place]
             found[place] = found[place] + constant(moved)
     return found
+
+
+def between_worn_flanks(
+    system: System, layout: Layout, worn: tuple[dict, dict], state: Array
+) -> Array:
+    """The state with the far ends of shafts on the flanks on which they lie, which are `worn` as in
+    the first of two before, and as in the second now: off them a shaft would press nothing."""
+    flanks = flanks_that_wear(system)
+    for i, (owner, name) in enumerate(layout.states):
+        if owner not in flanks or name != TWIST:
+            continue
+        plays = [with_worn_flanks(system, each).transmissions[owner].coupling.play for each in worn]
+        (half, middle), (wider, moved) = ((0.5 * p.play, middle_of(p)) for p in plays)
+        end = state[layout.state_start + i]
+        on_lower = (end <= -half) & ((end < half) | (moved < middle))
+        inside = jnp.clip(end + middle - moved, -wider, wider)
+        on_flank = jnp.where(on_lower, -wider, jnp.where(end >= half, wider, inside))
+        state = state.at[layout.state_start + i].set(on_flank)
+    return state
 
 
 def pulls_of_centres(

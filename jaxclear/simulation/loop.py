@@ -28,6 +28,7 @@ from jaxclear.multibody.damped_stops import loads_to_settle, with_settled_loads
 from jaxclear.multibody.mechanism import Mechanism, stabilised_as_needed
 from jaxclear.multibody.state import unpack_motion
 from jaxclear.multibody.system import System, readings, rubbing_joints, wear_maps
+from jaxclear.multibody.transmissions import between_worn_flanks
 from jaxclear.native import (
     TableLayout,
     forwards_only,
@@ -332,6 +333,12 @@ class Turn:
         known = known._replace(forces=none) if known.forces is None else known
         return Interval(span.start, span.stop, weights, running, known)
 
+    def worn_as(self, now: Carry, worn: Worn, read: Worn) -> Carry:
+        """What is handed on with surfaces as worn now."""
+        model = self.model
+        state = between_worn_flanks(model.system, model.layout, (now.read, read), now.state)
+        return now._replace(state=state, worn=worn, read=read)
+
     def motion(self, now: Carry, span: Span) -> tuple[Carry, Losses, Events | None]:
         """What is handed on but for worn surfaces, what these lose, and events."""
         if self.report:
@@ -469,7 +476,7 @@ def _in_one_kernel(turn: Turn, first: Carry, spans: Span, updates: Any) -> tuple
     def settled(now: Carry, pending: Pending, wears: Any = None) -> tuple[Carry, Pending]:
         values = now.worn, now.read, pending
         worn, read, pending = worn_so_far(model.system, model.layout, values, now.state, wears)
-        return now._replace(worn=worn, read=read), pending
+        return turn.worn_as(now, worn, read), pending
 
     def by_kernel(condition, body, first):
         return while_loop(condition, body, first, (False, LONG_CARRY, False))
@@ -512,8 +519,7 @@ def _from_save_to_save(
 
     def settled(now: Carry, since: Array, wears: Any = None) -> tuple[Carry, Array]:
         events, since = pending_losses(layout, since, now.state, wears)
-        worn, read = wear_changed(system, now.worn, now.read, events)
-        return now._replace(worn=worn, read=read), since
+        return turn.worn_as(now, *wear_changed(system, now.worn, now.read, events)), since
 
     if by_path:
         limits, spans = _update_limits(system, spans, step, updates)
@@ -527,10 +533,9 @@ def _from_save_to_save(
         (now,) = carry
         worn, read = now.worn, now.read
         now, losses_now, noted = motion(now._replace(worn={}), span)
-        saved = read, noted
         if worn:
-            worn, read = wear_all(system, worn, read, losses_now)
-        return (now._replace(worn=worn, read=read),), saved
+            now = turn.worn_as(now, *wear_all(system, worn, read, losses_now))
+        return (now,), (read, noted)
 
     if counted is None:
         part = _between_instants(turn, jax.lax.while_loop, part)
