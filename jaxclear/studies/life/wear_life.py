@@ -93,6 +93,12 @@ def wear_life(
         ValueError: if an argument is wrong.
         SimulationError: if the first cycle fails.
     """
+    if isinstance(subject, Mechanism) and period is not None and cycles is None and hours is None:
+        check_number("period of wear_life", period, "s", above=0)
+        raise ValueError(
+            f"wear_life is given a period of {float(period):g} s and no number of cycles: give it "
+            "by name, cycles=..., or hours=... of operation."
+        )
     problem = as_problem("wear_life", subject, period)
     if hours is not None:
         check_number("hours of wear_life", hours, "h", above=0)
@@ -107,11 +113,6 @@ def wear_life(
     check_count("max_cycles of wear_life", max_cycles)
     check_flags("wear_life", progress_bar=progress_bar, verify=verify)
     check_wear_problem(problem)
-    if cycles is None and period is not None:
-        raise ValueError(
-            f"wear_life is given a period of {float(period):g} s and no number of cycles: give it "
-            "by name, cycles=..., or hours=... of operation."
-        )
     with open_store(store, "a wear life", problem), progress.bar(progress_bar, "wear life"):
         rates = Rates(problem, problem.nominal(), Patience(SETTLED, accuracy, max_cycles))
         life = lived(rates, float(length), float(accuracy), jump)
