@@ -3,13 +3,14 @@ compiles nothing, by JAX where one is JAX's, which may be traced.
 """
 
 import functools
+import importlib
 from collections.abc import Callable
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-import scipy.special
+import scipy
 
 from jaxclear.ground.quantity import is_traced
 
@@ -19,7 +20,10 @@ SPECIAL = ("betainc", "gammainc", "ndtr", "ndtri")
 def __getattr__(name: str) -> Callable[..., Any]:
     if name.startswith("_"):
         raise AttributeError(name)
-    libraries = (scipy.special, jax.scipy.special) if name in SPECIAL else (np, jnp)
+    libraries: Any = np, jnp
+    if name in SPECIAL:
+        # Loaded for who needs them: a tenth of the import.
+        libraries = scipy.special, importlib.import_module("jax.scipy.special")
     plain, traced = (getattr(library, name) for library in libraries)
 
     @functools.wraps(traced)

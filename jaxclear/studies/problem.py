@@ -5,9 +5,9 @@ Studies see a `Problem`, never a joint. The path from varied numbers to response
 """
 
 import dataclasses
-import functools
 from collections.abc import Callable, Mapping
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -166,10 +166,13 @@ class Problem(AbstractQuantified):
             first += count
         return groups
 
-    @functools.cached_property
+    @property
     def description(self) -> Description:
         """What is known before any sample is computed."""
-        return self.experiment.describe()
+        # Not kept in the problem, by whose form programs are found.
+        if self not in _DESCRIPTIONS:
+            _DESCRIPTIONS[self] = self.experiment.describe()
+        return _DESCRIPTIONS[self]
 
     def units(self) -> dict[str, str]:
         """Unit of each response."""
@@ -284,6 +287,9 @@ class Problem(AbstractQuantified):
                 f"evaluate takes an array of {len(self.names)} values, one for each variable in "
                 f"order{names}; it is given {described(values)}."
             )
+
+
+_DESCRIPTIONS: WeakKeyDictionary[Problem, Description] = WeakKeyDictionary()
 
 
 def _fields(

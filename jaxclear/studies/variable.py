@@ -8,7 +8,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import scipy.special
+import scipy
 
 from jaxclear.ground.arguments import check_number, expect
 from jaxclear.ground.array_functions import on_host

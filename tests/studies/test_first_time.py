@@ -8,6 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
 
@@ -69,6 +70,10 @@ def test_few_samples_cost_what_their_chunk_does(monkeypatch):
         save=3,
     )
     values = np.asarray(problem.nominal())[None]
+    form = jax.tree.structure(problem)
+    assert problem.description is problem.description
+    # What is known of a problem is no part of the form by which its programs are found.
+    assert jax.tree.structure(problem) == form
     expected = evaluate_all(problem, values)
     assert {chunk_size(problem, count) for count in (1, 2, LANES)} == {LANES}
     prepared = []
