@@ -13,7 +13,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from jaxclear.components.coupling import AbstractForceCoupling
 from jaxclear.formulations.model import Instant
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import safe_divide
@@ -73,12 +72,8 @@ def means_of(run: Trajectory) -> tuple[str, ...]:
 
 
 def peaks_of(run: Trajectory) -> tuple[str, ...]:
-    """Couplings whose peak is one: that of flanks is followed by steps, others are smooth, but for
-    those that pull or push one way."""
-    if run.formulation.forces_are_means:
-        return ()
-    one_sided = lambda name: isinstance(run.mechanism.couplings[name], AbstractForceCoupling)
-    return tuple(name for name in _coupled(run) if not one_sided(name))
+    """Couplings whose peak is one: where forces are no means."""
+    return () if run.formulation.forces_are_means else _coupled(run)
 
 
 def _coupled(run: Trajectory) -> tuple[str, ...]:

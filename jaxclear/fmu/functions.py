@@ -24,14 +24,13 @@ from jaxclear.multibody.mechanism import Mechanism, with_redundancy
 from jaxclear.multibody.state import unpack_motion
 from jaxclear.native.writer import LONGEST_IN_REGISTERS
 from jaxclear.results.state_history import StateHistory
-from jaxclear.results.trajectory import Extremes, RunStats, Trajectory
+from jaxclear.results.trajectory import RunStats, Trajectory
 from jaxclear.simulation.invariants import (
     contact_names,
     contact_radii,
-    contacts_that_turn,
     openings,
 )
-from jaxclear.simulation.loop import Carry, Span, Turn, first_turn, through_interval
+from jaxclear.simulation.loop import Carry, Span, Turn, first_turn, largest_of, through_interval
 
 Arrays = list[Any]
 # A contact that touches or parts within this time [s] does so now: searches for roots end within
@@ -175,9 +174,8 @@ def run_of_step(
     states = jnp.stack([before, now.state]) - jnp.where(adds_up, before, 0.0)
     states = integrator.known_states(model, times, states, now.state, now.warm_start)
     history = StateHistory(mechanism, integrator.formulation, times, states, {}, False)
-    contacts = contact_names(model), contacts_that_turn(mechanism, model)
-    extremes = None if now.peaks is None else Extremes(*now.peaks, *contacts)
     stats = RunStats(*now.steps, jnp.zeros((), int))
+    extremes = largest_of(mechanism, model, now)
     return Trajectory(history, {}, now.outcome, now.ended, stats, extremes=extremes)
 
 

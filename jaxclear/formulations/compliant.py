@@ -52,45 +52,27 @@ def _work_rates(model: Model, time: Any, entries: list, mean: list) -> list:
     """Rates [W] of the energies of the balance but its input, in the order of `state.ENERGIES`: of
     the forces at a state's `entries`, over the `mean` speeds of the step that begins there."""
     system, layout = model.system, model.layout
-    memories = unpack_memories(layout, entries)
-    coordinates, followed = entries[: layout.coordinates], unpack_followed(layout, entries)
-
-    def at(speeds):
-        q, v = unpack_motion(system, [*coordinates, *speeds])
-        motions = kinematics.link_motions(system, q, v, time)
-        reports = contact_reports(system, motions, memories, model.worn)
-        return forces_at(system, motions, reports, q, v, time, followed)
-
-    start = at(entries[layout.coordinates : layout.memory_start])
-    middle = at(mean)
+    first, last = layout.coordinates, layout.memory_start
+    start, q, _ = _acting(model, time, entries)
+    middle = _acting(model, time, [*entries[:first], *mean, *entries[last:]])[0]
     work, loss, rubbed = 0, 0, 0
-    for name, bearing in system.bearings.items():
-        report = start.reports[name]
-        relative = kinematics.relative_motion(bearing.closure, middle.motions)[2]
-        given = sp.add(
-            sp.dot(report.force, relative.velocity), sp.dot(report.torque, relative.spin)
-        )
-        pressed, damped = 0, 0
-        pose = kinematics.relative_motion(bearing.closure, start.motions)[1]
-        own_laws = contact_point.laws_at(
-            bearing.joint, bearing.contact_laws, pose, model.worn.get(name, {})
-        )
-        points = zip(own_laws, report.points, middle.reports[name].points, strict=True)
-        for laws, begun, moved in points:
-            elastic = laws.contact.elastic_force(begun.indentation)
+    # The rows of contacts come first.
+    for row, name in zip(start.rows, system.bearings, strict=False):
+        given, pressed, damped = row.direction.rate(middle.motions), 0, 0
+        points = zip(start.reports[name].points, middle.reports[name].points, strict=True)
+        for begun, moved in points:
             pressed = sp.add(pressed, begun.normal_force * moved.rate)
-            damped = sp.add(damped, (begun.normal_force - elastic) * moved.rate)
+            damped = sp.add(damped, (begun.normal_force - begun.elastic_force) * moved.rate)
         work, loss = sp.add(work, pressed), sp.add(loss, damped)
         rubbed = sp.sub(rubbed, sp.add(given, pressed))
     held = touching(system)
     if held:
-        q, _ = unpack_motion(system, entries)
-        begun = rubbing(model, start, q)
-        change = sp.each(sp.sub, mean, entries[layout.coordinates : layout.memory_start])
+        found = rubbing(model, start, q)
+        change = sp.each(sp.sub, mean, entries[first:last])
         slips = [
             rate.at(change) for one in held for rate in sliding_rates(system, start.motions, one)
         ]
-        rubbed = sp.add(rubbed, friction_losses(held, begun.friction, slips)[0])
+        rubbed = sp.add(rubbed, friction_losses(held, found.friction, slips)[0])
     # What a damper takes is of second degree: the mean is right to the square of the change.
     damping = sp.mul(0.5, sp.add(start.damping_loss, middle.damping_loss))
     return [work, loss, rubbed, damping]
@@ -135,23 +117,16 @@ class CompliantContact(AbstractFormulation):
         return (*mechanism.topology.clearances, *rubbing_in(mechanism.connections))
 
     def forces(self, instant: Instant):
-        forces = self._of_contacts(instant)
+        forces = _acting(instant.model, instant.time, instant.entries)[0]
         if not rubbing_joints(instant.model.system):
             return forces
         return joint_friction.rubbing(instant.model, forces, instant.q).forces
 
     def contact(self, instant: Instant, name: str) -> ContactReport:
-        forces = self._of_contacts(instant)
+        forces = _acting(instant.model, instant.time, instant.entries)[0]
         if name in instant.model.system.bearings:
             return clearance_contact(instant, forces, name)
         return joint_friction.contact(instant, forces, name)
-
-    def _of_contacts(self, instant: Instant) -> Forces:
-        """What acts but friction in ideal joints."""
-        model = instant.model
-        memories = unpack_memories(model.layout, instant.entries)
-        reports = contact_reports(model.system, instant.motions, memories, model.worn)
-        return instant.forces(reports)
 
     def rate(
         self, model: Model, time: Any, state: State, shares: Any = None, flanks: Any = None
@@ -205,19 +180,12 @@ class CompliantContact(AbstractFormulation):
         Returns:
             a `ContactMotion`.
         """
-        points = _point_motions(model, time, state)
-        if not model.layout.plays:
-            return _stacked(points)
-        depths = lambda time, state: _flank_motion(model, time, state, flanks)
-        own = depths(time, state)
+        motion = lambda time, state: _stacked(_row_motions(model, time, state, flanks))
         if exact and any(one.left_by_torque for one in model.system.transmissions.values()):
             flow = self.rate(model, time, state, None, flanks)[0]
-            rates = jax.jvp(lambda *now: depths(*now).depths, (time, state), (1.0, flow))[1]
-            own = own._replace(rates=rates)
-        if not points:
-            return own
-        joints = _stacked(points)
-        return ContactMotion(*map(jnp.concatenate, zip(joints, own, strict=True)))
+            depths = lambda *now: motion(*now).depths
+            return ContactMotion(*jax.jvp(depths, (time, state), (1.0, flow)))
+        return motion(time, state)
 
     def damped(self, model: Model) -> bool:
         """Whether some contact damps, so that its depth does not determine its force; flanks of
@@ -263,13 +231,8 @@ class CompliantContact(AbstractFormulation):
         Returns:
             velocities [m/s], an array (contacts, 3).
         """
-        laws = [own for bearing in model.system.bearings.values() for own in bearing.contact_laws]
-        found = []
-        for own, (_, _, slip) in zip(laws, _point_motions(model, time, state), strict=True):
-            rubbing = () if own.friction is None else slip
-            found.append(sp.stack([*rubbing, *sp.ZERO][:3]))
-        found += [jnp.zeros(3)] * (2 * len(model.layout.plays))
-        return jnp.stack(found)
+        rows = _row_motions(model, time, state)
+        return jnp.stack([sp.stack([*slip, *sp.ZERO][:3]) for _, _, slip in rows])
 
     def coordinate_rates(self, model: Model, state: State) -> Float[Array, " q"]:
         """Rates of the coordinates alone, which follow from coordinates and speeds.
@@ -444,33 +407,30 @@ class CompliantContact(AbstractFormulation):
         return sp.stack(after), sp.stack(handed_on)
 
 
-def _point_motions(model: Model, time: Any, state: State) -> list[tuple]:
-    """(indentation, its rate, components of slip) of every possible contact of joints, from the
-    geometry alone."""
-    motion = unpack_motion(model.system, model.entries(state))
-    motions = kinematics.link_motions(model.system, *motion, time)
-    bearings = model.system.bearings
+def _row_motions(model: Model, time: Any, state: State, flanks: Any = None) -> list[tuple]:
+    """(depth, its rate, components of slip where it rubs) of every possible contact, then of every
+    flank, from the geometry alone."""
+    system, entries = model.system, model.entries(state)
+    motions = kinematics.link_motions(system, *unpack_motion(system, entries), time)
+    bearings, relative = system.bearings.items(), relative_motions(system, motions)
     calls = [
         (bearing.joint, own, model.worn.get(name, {}))
-        for (name, bearing), own in zip(
-            bearings.items(), relative_motions(model.system, motions), strict=True
-        )
+        for (name, bearing), own in zip(bearings, relative, strict=True)
     ]
-    found = map_grouped(contact_point.point_motions, calls)
-    return [point for joint in found for point in joint]
-
-
-def _flank_motion(model: Model, time: Any, state: State, flanks: Any) -> ContactMotion:
-    """Depth and rate of the flanks of all plays."""
-    entries = model.entries(state)
-    motions = kinematics.link_motions(model.system, *unpack_motion(model.system, entries), time)
-    followed = unpack_followed(model.layout, entries, flanks)
-    return _stacked(_flanks_of(pressing_of(model.system, motions, followed)))
+    points = [row for joint in map_grouped(contact_point.point_motions, calls) for row in joint]
+    laws = [own for bearing in system.bearings.values() for own in bearing.contact_laws]
+    rubs = [own.friction is not None for own in laws]
+    found = [(*row[:2], row[2] if own else ()) for own, row in zip(rubs, points, strict=True)]
+    if model.layout.plays:
+        followed = unpack_followed(model.layout, entries, flanks)
+        found += _flanks_of(pressing_of(system, motions, followed))
+    return found
 
 
 def _flanks_of(pressing: dict[str, Pressing]) -> list:
-    """(depth, rate) of every flank."""
-    return [x for own in pressing.values() for x in zip(own.depths, own.rates, strict=True)]
+    """(depth, rate, no slip) of every flank."""
+    pairs = (pair for own in pressing.values() for pair in zip(own.depths, own.rates, strict=True))
+    return [(*pair, ()) for pair in pairs]
 
 
 def _acting(
@@ -497,7 +457,7 @@ def _with_shares(memories: dict, shares: Any) -> dict:
 
 
 def _stacked(points: list) -> ContactMotion:
-    """The motion of all contacts from (indentation, rate) of each."""
+    """The motion of all contacts from (indentation, rate, ...) of each."""
     depths, rates = ([point[i] for point in points] for i in (0, 1))
     return ContactMotion(sp.stack(depths), sp.stack(rates))
 

@@ -71,10 +71,6 @@ class ContactPoint(NamedTuple):
         """The rows of its rates."""
         return tuple(rate.row for rate in self.rates)
 
-    def rates_at(self, change: list | None = None) -> tuple:
-        """Its rates at speeds that differ by a change."""
-        return tuple(x.value if change is None else x.at(change) for x in self.rates)
-
 
 class FreeMotion(NamedTuple):
     """Equations of motion at an instant with the contacts set apart: everything else that acts,
@@ -302,7 +298,8 @@ def rigid_reports(
     for contact, (normal, *tractions) in zip(contacts, forces, strict=True):
         laws, gap = contact.laws, contact.gap_function
         pressed = jnp.maximum(gap.indentation, _pressed(laws, normal))
-        given = laws, gap, contact.rates_at(change), normal, tuple(tractions), 0.0
+        rates = tuple(x.value if change is None else x.at(change) for x in contact.rates)
+        given = laws, gap, rates, normal, tuple(tractions), 0.0
         acting.append(ActingContact(*given, pressed=pressed))
     return joint_reports(system, poses, acting)
 

@@ -149,12 +149,6 @@ def with_rows_of_loads(
     )
 
 
-def own_rows(loads: LoadsInStep, friction: Any) -> list:
-    """The forces along the rows of loads, which are the last of all."""
-    first = len(friction) - len(loads.rates)
-    return [friction[first + k] for k in range(len(loads.rates))]
-
-
 def moved_to_stops(
     loads: LoadsInStep, beyond: list, response: FrictionResponse, forces: list, h: Any
 ) -> tuple[list, Any]:

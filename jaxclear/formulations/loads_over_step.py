@@ -297,9 +297,3 @@ def beyond_stops(model: Model, time: Any, entries: list, followed: Followed) -> 
         position = own.reading(model.system, motions, followed)[0] if own.sides else None
         found += [side.beyond(position) for side in own.sides]
     return found
-
-
-def counts_of_rows(system: System) -> tuple[int, int]:
-    """How many sides there are at which something is stopped, and how many loads rub."""
-    every = held(system).values()
-    return sum(len(own.sides) for own in every), sum(own.rubs for own in every)

@@ -24,7 +24,6 @@ from jaxclear.formulations.joint_friction import (
     NonCollidingSettings,
     friction_losses,
     moved_to_stops,
-    own_rows,
     regularised_friction,
     set_valued_friction,
     with_rows_of_loads,
@@ -244,7 +243,8 @@ class PermanentContact(AbstractFormulation):
             given += [*reaction.force, *reaction.torque, *friction[place], pressed]
         end, acting = displace(system, q, mean, h), with_friction(system, forces, friction)
         if loads.rates:
-            own = own_rows(loads, friction)
+            first = len(friction) - len(loads.rates)
+            own = [friction[first + k] for k in range(len(loads.rates))]
             by_load = loads.by_load(system, own)
             given, acting = [*given, *by_load.values()], with_loads(system, acting, by_load)
             beyond = beyond_stops(model, time_step.end, [*end, *after], followed)

@@ -26,7 +26,6 @@ from jaxclear.formulations.delassus import DelassusOperator, delassus_operator
 from jaxclear.formulations.loads_over_step import (
     LoadsInStep,
     check_found_over_steps,
-    counts_of_rows,
     forces_of_means,
     found_over_steps,
     held,
@@ -39,7 +38,6 @@ from jaxclear.formulations.model import Model, State
 from jaxclear.formulations.permanent_reactions import check_unique, touching, with_friction
 from jaxclear.formulations.permanent_report import friction_of, joint_components, report_of_means
 from jaxclear.formulations.rubbing_percussions import (
-    Rubbed,
     joints_in_step,
     percussions_and_friction,
     rubbed_over,
@@ -153,7 +151,7 @@ class RigidContact(AbstractFormulation):
         check_unique(system)
         count = sum(own for _, own in contact_components(system))
         count += sum(one.joint.components for one in touching(system))
-        count += sum(counts_of_rows(system))
+        count += sum(len(own.sides) + own.rubs for own in held(system).values())
         return jnp.zeros(model.layout.speeds + count + 1)
 
     def strikes(
@@ -233,7 +231,9 @@ class RigidContact(AbstractFormulation):
         remembered = model.layout.memory_start + model.layout.memory_count
         after = [*end.coordinates, *v, *entries[model.layout.memory_start : remembered]]
         over = rubbed_over(model, middle, joints, rubbed, mean)
-        given = _given(model.system, loads, impact, rubbed, middle.change_to(mean), h)
+        stops = impact.by_contact[len(impact.by_contact) - len(loads.stops) :]
+        forces = [*(sp.mul(1 / h, own[0]) for own in stops), *rubbed.loads]
+        given = loads.by_load(model.system, forces), loads.lost(forces, middle.change_to(mean))
         passive = _passive(
             model, time_step, middle, delassus, impact, mean, end, rubbed.friction, over, given
         )
@@ -274,17 +274,6 @@ def _with_springs(contacts: list, delassus: DelassusOperator, impact: Percussion
     return found
 
 
-def _given(
-    system: Any, loads: LoadsInStep, impact: Percussions, rubbed: Rubbed, change: list, h: Any
-) -> tuple[dict[str, Any], Any]:
-    """Forces [N m, N] by load, and the power [W] that they take, of loads whose force is found by a
-    step of length h [s] whose mean speeds differ so from the predicted
-    ones."""
-    stops = impact.by_contact[len(impact.by_contact) - len(loads.stops) :]
-    forces = [*(sp.mul(1 / h, own[0]) for own in stops), *rubbed.loads]
-    return loads.by_load(system, forces), loads.lost(forces, change)
-
-
 def check_friction(mechanism: Mechanism, integrator: str) -> None:
     """Raises `ValueError` for friction that does not say which coefficients it regularises."""
     laws = [
@@ -314,7 +303,8 @@ def _passive(
     given: tuple[dict[str, Any], Any],
 ) -> list:
     """Changes of what only follows the motion: angles, worn volumes, impulses, energies; by
-    `friction` of joints, what is `rubbed` by it, and what is `given` by loads."""
+    `friction` of joints, what is `rubbed` by it, and what is `given` by loads whose force the step
+    finds: forces [N m, N] by load, and the power [W] that they take."""
     system, layout, h = model.system, model.layout, time_step.length
     free_motion = middle.free_motion
     by_contact = impact.by_contact[: len(free_motion.contacts)]

@@ -29,14 +29,17 @@ from jaxclear.integrators.checks import Outcome
 from jaxclear.integrators.derivative_error import NO_SECOND, trusted
 from jaxclear.integrators.error_control import (
     EndingAtTouches,
+    FollowingCouplings,
     Solved,
     StandingAtBounds,
     TakingImpactSpeeds,
     solve,
     stepped_by_hand,
 )
+from jaxclear.integrators.events import transmitted
 from jaxclear.integrators.munthe_kaas import GroupTerm, MuntheKaas, state_group
 from jaxclear.integrators.saltation import equations, motion_of
+from jaxclear.multibody.forces import transmitting
 from jaxclear.multibody.length_scales import narrowest_gap
 from jaxclear.multibody.state import within_bounds
 from jaxclear.multibody.system import longest_arm
@@ -231,20 +234,19 @@ class Adaptive(AbstractIntegrator):
         and without them it would step over touches. `size`: so many equations of a program are in a
         rate; `so_far`: the peaks of the run."""
         formulation, through = self.formulation, self.through_contacts
-        solver = stepped_by_hand(self.solver, size)
-        if solver is None:
-            solver = self.solver
-            if bare(rest).layout.states:
-                solver = StandingAtBounds(solver, functools.partial(_bounded, rest))
+        solver = stepped_by_hand(self.solver, size) or self.solver
+        if bare(rest).layout.states:
+            solver = StandingAtBounds(solver, functools.partial(_bounded, rest))
         if not bare(rest).layout.contacts:
-            return solver
+            return _following(solver, rest)
 
         def remember(y, before, after, length, args):
             return formulation.remember(unpacked(args[0], rest), y, before, after, length)
 
         motion, derived = motion_of(formulation, rest), derivative if through else None
         looks = formulation.damped(bare(rest)), bare(rest).events
-        return TakingImpactSpeeds(solver, remember, motion, derived, growth, so_far, *looks)
+        solver = TakingImpactSpeeds(solver, remember, motion, derived, growth, so_far, *looks)
+        return _following(solver, rest)
 
     def _solve(self, rest, arrays, interval, state, warm_start) -> Advance:
         formulation, (start, stop), (step, growth) = self.formulation, interval[:2], warm_start
@@ -272,15 +274,16 @@ class Adaptive(AbstractIntegrator):
             (start, stop, first),
             state,
             (arrays, None),
-            functools.partial(_bounded, rest),
             (bare(rest).layout.coordinates, bare(rest).layout.memory_start),
         )
         # A remainder of rounding, shorter than the smallest step, has been taken.
         reached = (failed == Outcome.REACHED) | (end.time >= stop)
         outcome = jnp.where(reached, Outcome.REACHED, failed)
-        peaks, events, usual = None, None, end.wish
+        peaks, events, usual, kept, sent = None, None, end.wish, end.kept, None
+        if transmitting(bare(rest).system):
+            kept, sent = kept
         if bare(rest).layout.contacts:
-            _, _, peaks, events, growth = end.kept
+            _, _, peaks, events, growth = kept
             # As long as a flight it may go through a wall: rounding then decides what follows.
             usual = (end.time - start) / jnp.maximum(end.accepted, 1)
         usual = constant(usual)
@@ -289,18 +292,17 @@ class Adaptive(AbstractIntegrator):
         if through:
             instants = () if events is None else events[:2]
             most = _most_growth(model, controller)
-            moving = trusted((state, peaks, instants), growth, most)
-            state, peaks, instants = allow_first_derivative(NO_SECOND, moving)
+            moving = trusted((state, peaks, instants, sent), growth, most)
+            state, peaks, instants, sent = allow_first_derivative(NO_SECOND, moving)
             if events is not None:
                 events = events._replace(times=instants[0], rates=instants[1])
-        return Advance(state, *steps, (usual, growth), outcome, peaks, events)
+        return Advance(state, *steps, (usual, growth), outcome, peaks, events, sent)
 
-    def _solved(self, term, solver, controller, span, state, args, ended, ends):
-        """Where a solver ends, and why where that is before the end; of its own steps each is
-        `ended(state, args)`. `ends`: of the coordinates and of the speeds in a state."""
+    def _solved(self, term, solver, controller, span, state, args, ends):
+        """Where a solver ends, and why where that is before the end. `ends`: of the coordinates and
+        of the speeds in a state."""
         if stepped_by_hand(self.solver) is not None:
-            options = term, solver, controller, span, state, args, self.max_steps, ended, ends
-            solved = solve(*options)
+            solved = solve(term, solver, controller, span, state, args, self.max_steps, ends)
             short = jnp.where(solved.time < span[1], Outcome.TOO_MANY_STEPS, Outcome.REACHED)
             return solved, jnp.where(solved.too_small, Outcome.STEP_TOO_SMALL, short)
         start, stop, first = span
@@ -327,6 +329,17 @@ class Adaptive(AbstractIntegrator):
         ended = solution.ts[-1], solution.ys[-1], solution.solver_state
         solved = Solved(*ended, *steps, ~fine, typical)
         return solved, jnp.where(fine, Outcome.REACHED, failed)
+
+
+def _following(solver, rest):
+    """The solver, which follows what couplings of a model transmit where there are such."""
+    couplings = len(transmitting(bare(rest).system))
+
+    def largest(time, state, args, before):
+        before = jnp.zeros(couplings) if before is None else before
+        return transmitted(unpacked(args[0], rest), time, state, before)
+
+    return FollowingCouplings(solver, largest) if couplings else solver
 
 
 def _bounded(rest, state, args):

@@ -22,7 +22,7 @@ from jaxclear.formulations.contact_rows import TimeStep
 from jaxclear.formulations.model import Model, State
 from jaxclear.ground.quantity import AbstractQuantified, Scalar
 from jaxclear.integrators.checks import Outcome
-from jaxclear.integrators.events import Events, Peaks, Watch
+from jaxclear.integrators.events import Events, Peaks, Watch, watch_from, watched
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.native import while_loop
 
@@ -94,6 +94,8 @@ class Advance(NamedTuple):
         peaks: largest indentation [m] and force [N] of every possible contact in the interval;
             None: not recorded.
         events: touches and releases, where the model asks for them, else None.
+        transmitted: the largest that each coupling of `forces.transmitting` has transmitted in its
+            steps [N m, N]; None: not recorded.
     """
 
     state: State
@@ -103,6 +105,7 @@ class Advance(NamedTuple):
     outcome: Int[Array, ""]
     peaks: Peaks | None = None
     events: Events | None = None
+    transmitted: Any = None
 
 
 # What derivatives do not know where couplings have play.
@@ -345,14 +348,14 @@ def arrived(
     end: Any, steps: Any, warm_start: Any, peaks: Peaks | None = None, watch: Watch | None = None
 ) -> Advance:
     """The answer of steps that are never rejected; `peaks`: the largest depths and forces on the
-    way, `watch`: the events."""
+    way, `watch`: the events, and what couplings have transmitted."""
     outcome = jnp.where(jnp.all(jnp.isfinite(end)), Outcome.REACHED, Outcome.NOT_FINITE)
-    events = None if watch is None else watch.events
-    return Advance(end, steps, jnp.zeros_like(steps), warm_start, outcome, peaks, events)
+    found = () if watch is None else (watch.events, watch.transmitted)
+    return Advance(end, steps, jnp.zeros_like(steps), warm_start, outcome, peaks, *found)
 
 
 def searching_steps(
-    interval: Interval, longest: Any, step: Callable, carry: tuple, loose: float
+    model: Model, interval: Interval, longest: Any, step: Callable, carry: tuple, loose: float
 ) -> Advance:
     """The answer of equal steps, each of which searches for percussions or friction.
 
@@ -362,14 +365,17 @@ def searching_steps(
     """
     steps, h = divide(interval, longest)
 
-    def one(index, state, last):
-        return step(TimeStep(interval.start + index * h, h), state, last)
+    def one(index, state, carried):
+        (last, watch), time = carried, interval.start + index * h
+        end, last = step(TimeStep(time, h), state, last)
+        return end, (last, watched(watch, model, time, h, state, end))
 
     state, warm_start = carry
     (first, *others), structure = jax.tree.flatten(warm_start)
     first_carry = jax.tree.unflatten(structure, [first.at[-1].set(0.0), *others])
-    state, warm_start = march(one, steps, state, first_carry)
-    answer = arrived(state, steps, warm_start)
+    watch = watch_from(model, interval.start, state)
+    state, (warm_start, watch) = march(one, steps, state, (first_carry, watch))
+    answer = arrived(state, steps, warm_start, None, watch)
     residual = jax.tree.leaves(warm_start)[0][-1]
     failed = (answer.outcome == Outcome.REACHED) & (residual > loose)
     return answer._replace(outcome=jnp.where(failed, Outcome.LAWS_NOT_MET, answer.outcome))

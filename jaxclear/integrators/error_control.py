@@ -199,17 +199,16 @@ def solve(
     state: Any,
     args: Any,
     most: int,
-    ended: Callable = lambda state, _: state,
     ends: tuple[int, int] = (0, 0),
 ) -> Solved:
     """As `diffrax.diffeqsolve` over a `span` (start, end, first step) [s], in `most` steps tried:
-    the same steps to rounding, each `ended(state, args)`. A derivative is that of a solution in
-    steps of its own, which are short enough for it too (`_WithDerivatives`): where a spring sets in
-    within a step that resolves the motion, or at rest, those of the motion are too long. How long
-    steps are is no part of it. nan where it does not reach the end. `ends`: of the coordinates and
-    of the speeds in a state."""
+    the same steps to rounding. A derivative is that of a solution in steps of its own, which are
+    short enough for it too (`_WithDerivatives`): where a spring sets in within a step that resolves
+    the motion, or at rest, those of the motion are too long. How long steps are is no part of it.
+    nan where it does not reach the end. `ends`: of the coordinates and of the speeds in a
+    state."""
     numbers, rest = eqx.partition((solver, constant(controller)), eqx.is_array)
-    solving = _Solving(term, rest, most, ended, ends)
+    solving = _Solving(term, rest, most, ends)
 
     def moving(numbers, tangents):
         solved = solving.motion(*numbers)
@@ -227,7 +226,6 @@ class _Solving(NamedTuple):
     term: Any
     rest: Any
     most: int
-    ended: Callable
     ends: tuple[int, int]
 
     def motion(self, numbers, span, state, args) -> Solved:
@@ -237,8 +235,8 @@ class _Solving(NamedTuple):
         order = solver.error_order(self.term)
 
         def turn(now):
-            candidate, y, after, error = self._tried(solver, now, args)
-            tried = constant((now.start, now.stop, now.state, candidate, args, error))
+            y, after, error = self._tried(solver, now, args)
+            tried = constant((now.start, now.stop, now.state, y, args, error))
             adapted = controller.adapt_step_size(*tried, order, now.control)
             return _after(now, y, after, adapted, end)
 
@@ -263,10 +261,9 @@ class _Solving(NamedTuple):
                 return self._tried(eqx.combine(solving, self.rest)[0], go(moving), args)
 
             inputs = (solving, args, moving), (of_solving, of_args, d_turn)
-            (candidate, y, after, error), (_, *of_step) = pushed(tried, *inputs)
-            d_y, d_after, d_error = of_step
+            (y, after, error), (d_y, d_after, d_error) = pushed(tried, *inputs)
             off = d_turn["state"], d_y, d_error
-            adapted = controller.adapt(now, candidate, error, off, order)
+            adapted = controller.adapt(now, y, error, off, order)
             after, constants = eqx.partition(after, eqx.is_inexact_array)
 
             def choose(moving, y, after, end):
@@ -295,11 +292,11 @@ class _Solving(NamedTuple):
         return _Turn(begin, until, state, saved, control, none, none, jnp.asarray(True), wish)
 
     def _tried(self, solver, now, args):
-        """(state by the solver, as it has ended, what the solver keeps, error) behind a step."""
+        """(state, what the solver keeps, error) behind a step."""
         at = now.start, now.stop, now.state
         y, error, _, after, _ = solver.step(self.term, *at, args, now.kept, False)
         error = jax.tree.map(lambda each: jnp.where(jnp.isnan(each), jnp.inf, each), error)
-        return y, self.ended(y, args), after, error
+        return y, after, error
 
     def _continues(self, now, end):
         return (now.start < end) & now.fine & (now.accepted + now.rejected < self.most)
@@ -450,7 +447,7 @@ class StandingAtBounds(
     AbstractAround, diffrax.AbstractAdaptiveSolver, diffrax.AbstractWrappedSolver
 ):
     """`solver`, and after each of its steps what stands still at a bound there: `bounded(state,
-    args)`. A loop of our own does that itself (`solve`)."""
+    args)`."""
 
     solver: diffrax.AbstractSolver  # type: ignore[misc]
     bounded: Callable
@@ -461,6 +458,24 @@ class StandingAtBounds(
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
         y1, *others = self.solver.step(terms, t0, t1, y0, args, solver_state, made_jump)
         return self.bounded(y1, args), *others
+
+
+class FollowingCouplings(
+    AbstractAround, diffrax.AbstractAdaptiveSolver, diffrax.AbstractWrappedSolver
+):
+    """`solver`, and `largest(time, state, args, before)`: the largest that couplings have
+    transmitted where its steps end, and before."""
+
+    solver: diffrax.AbstractSolver  # type: ignore[misc]
+    largest: Callable
+
+    def init(self, terms, t0, t1, y0, args):
+        return self.solver.init(terms, t0, t1, y0, args), self.largest(t0, y0, args, None)
+
+    def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
+        inner, before = solver_state
+        y1, *others, inner, result = self.solver.step(terms, t0, t1, y0, args, inner, made_jump)
+        return y1, *others, (inner, self.largest(t1, y1, args, before)), result
 
 
 class TakingImpactSpeeds(

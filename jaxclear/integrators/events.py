@@ -35,9 +35,13 @@ from jaxclear.formulations.impact_speed import (
     summit,
 )
 from jaxclear.formulations.model import Model, State
+from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import safe_divide
 from jaxclear.ground.quantity import constant
 from jaxclear.ground.tangents import apply_if, derived, moved, moving_with, pushed
+from jaxclear.multibody import kinematics
+from jaxclear.multibody.forces import force_of, transmitting
+from jaxclear.multibody.state import unpack_followed, unpack_motion
 
 
 class Events(NamedTuple):
@@ -50,18 +54,34 @@ class Events(NamedTuple):
 
 
 class Watch(NamedTuple):
-    """How the contacts moved at the end of the last step, and the events until then."""
+    """How the contacts moved at the end of the last step, and the events until then (None: none are
+    asked for); the largest that each coupling whose force follows from the state has transmitted
+    where steps begin [N m, N] (None: there is none)."""
 
-    motion: ContactMotion
-    events: Events
+    motion: Any  # ContactMotion | None
+    events: Any  # Events | None
+    transmitted: Any
 
 
-def watch_from(model: Model, time: Any, state: State) -> Watch | None:
-    """The watch at the start of a saving interval; None where no events are asked for."""
+def watch_from(model: Model, time: Any, state: State) -> Watch:
+    """The watch at the start of a saving interval."""
+    couplings = len(transmitting(model.system))
+    none = jnp.zeros(couplings) if couplings else None
     if not model.events:
-        return None
+        return Watch(None, None, none)
     motion = contact_motion(model, time, state)
-    return Watch(motion, nothing(motion, model.events))
+    return Watch(motion, nothing(motion, model.events), none)
+
+
+def transmitted(model: Model, time: Any, state: State, largest: Any) -> Any:
+    """The largest that couplings have transmitted, with what they do at an instant."""
+    if largest is None:
+        return None
+    system, entries = model.system, model.entries(state)
+    motions = kinematics.link_motions(system, *unpack_motion(system, entries), time)
+    instant = time, unpack_followed(model.layout, entries)
+    sizes = [abs(force_of(system, motions, name, *instant)) for name in transmitting(system)]
+    return jnp.where(sp.stack(sizes) > largest, sp.stack(sizes), largest)
 
 
 def nothing(motion: ContactMotion, most: int) -> Events:
@@ -76,12 +96,16 @@ def contact_motion(model: Model, time: Any, state: State) -> ContactMotion:
     return CompliantContact().contacts(model, time, state)
 
 
-def watched(watch: Watch | None, model: Model, time: Any, length: Any, after: State) -> Any:
+def watched(
+    watch: Watch, model: Model, time: Any, length: Any, before: State, after: State
+) -> Watch:
     """The watch after a step from a `time` [s] of a `length` [s]."""
-    if watch is None:
-        return None
+    watch = watch._replace(transmitted=transmitted(model, time, before, watch.transmitted))
+    if watch.events is None:
+        return watch
     motion = contact_motion(model, time + length, after)
-    return Watch(motion, noted(watch.events, time, length, watch.motion, motion))
+    events = noted(watch.events, time, length, watch.motion, motion)
+    return watch._replace(motion=motion, events=events)
 
 
 def noted(

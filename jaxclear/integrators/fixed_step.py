@@ -144,22 +144,16 @@ def _taken_up(formulation: Any, model: Model, now: tuple, motions: tuple, step: 
 
 
 def _kicked(formulation: Any, model: Model, clock: tuple, y: Any, end: Any) -> Any:
-    """The end of a semi-implicit step, whose places move by the speeds at its end."""
+    """The end of a semi-implicit step, whose places move by the speeds at its end, with the
+    energies of the balance where they are asked for."""
     h, n = clock[1], model.layout.coordinates
     rates = formulation.coordinate_rates(model, jnp.concatenate([y[:n], end[n:]]))
-    return _with_energies(
-        formulation, model, clock, y, jnp.concatenate([y[:n] + h * rates, end[n:]])
-    )
-
-
-def _with_energies(formulation: Any, model: Model, clock: tuple, y: Any, after: Any) -> Any:
-    """The energies of the balance after a semi-implicit step, where they are asked for."""
-    layout = model.layout
-    if not layout.energies:
+    after = jnp.concatenate([y[:n] + h * rates, end[n:]])
+    if not model.layout.energies:
         return after
-    n, m, first = layout.coordinates, layout.memory_start, layout.energy_start + 1
+    m, first = model.layout.memory_start, model.layout.energy_start + 1
     powers = formulation.energy_rates(model, clock[0], y, 0.5 * (y[n:m] + after[n:m]))
-    return jnp.concatenate([after[:first], y[first:] + clock[1] * powers])
+    return jnp.concatenate([after[:first], y[first:] + h * powers])
 
 
 def _step_on_group(
@@ -379,7 +373,7 @@ class FixedStep(AbstractIntegrator):
             return trust_resolved(end, peaks, watch, last[2])
         if not self._derived(model):
             return end, peaks, watch
-        if watch is not None:
+        if watch.events is not None:
             rates = without_derivative(watch.events.rates)
             watch = watch._replace(events=watch.events._replace(rates=rates))
         return allow_first_derivative(NO_SECOND, (end, peaks, watch))
@@ -392,12 +386,12 @@ class FixedStep(AbstractIntegrator):
         step = self._stepped(model, interval.peaks)
 
         def turn(carry):
-            index, y, last, peaks, watch = carry
+            index, start, last, peaks, watch = carry
             time = interval.start + index * h
-            _, y, now, peaks = step((time, h, None), y, last, peaks)
+            _, y, now, peaks = step((time, h, None), start, last, peaks)
             if not (self._derived(model) and self._separate):
                 y = closed(model, time + h, y, h)
-            watch = watched(watch, model, time, h, y)
+            watch = watched(watch, model, time, h, start, y)
             return index + 1, y, now, peaks, watch
 
         if self._derived(model) and self._separate:
@@ -421,12 +415,12 @@ class FixedStep(AbstractIntegrator):
         shortest = resolved(longest / self.contact_steps, interval)
 
         def one(carry):
-            time, steps, y, last, peaks, watch = carry
-            h, y, now, peaks = step((time, longest, (stop - time, shortest)), y, last, peaks)
+            time, steps, start, last, peaks, watch = carry
+            h, y, now, peaks = step((time, longest, (stop - time, shortest)), start, last, peaks)
             # The step that was cut to what was left ends exactly at the end.
             begin, time = time, jnp.where(h == stop - time, stop, time + h)
             y = closed(model, time, y, h)
-            watch = watched(watch, model, begin, h, y)
+            watch = watched(watch, model, begin, h, start, y)
             return time, steps + 1, y, now, peaks, watch
 
         peaks = self._first_peaks(model, warm_start, interval.peaks)

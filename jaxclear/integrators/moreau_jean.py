@@ -395,7 +395,7 @@ class MoreauJean(AbstractIntegrator):
                 end, last, moves = step_fn(arrays, tuple(time_step), state, last, moves)
             return end, (last, moves)
 
-        answer = searching_steps(interval, self.step, followed, (state, warm_start), LOOSE)
+        answer = searching_steps(model, interval, self.step, followed, (state, warm_start), LOOSE)
         if not may_strike(model.system):
             return answer
         state = trusted_impacts(answer.state, answer.warm_start[1].figures)

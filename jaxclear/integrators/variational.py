@@ -128,8 +128,9 @@ def so_far(resolved: Resolved) -> Resolved:
 def trust_resolved(end: Any, peaks: Any, watch: Any, resolved: Resolved) -> tuple:
     """All that was found of a run, where the derivative of the motion beside it can be trusted;
     events have none."""
-    end, peaks = allow_first_derivative(NO_SECOND, while_together((end, peaks), resolved.parted))
-    return end, peaks, without_derivative(watch) if watch is not None else None
+    outputs = end, peaks, watch.transmitted
+    outputs = allow_first_derivative(NO_SECOND, while_together(outputs, resolved.parted))
+    return *outputs[:2], without_derivative(watch)._replace(transmitted=outputs[2])
 
 
 def _parted(

@@ -323,6 +323,12 @@ def force_of(
     return jnp.asarray(load.transmitted(effect) if coupled else effect.forces[0], float)
 
 
+def transmitting(system: System) -> tuple[str, ...]:
+    """The couplings whose force follows from the state."""
+    loads = (n for n, load in coordinate_loads(system) if isinstance(load, AbstractForceCoupling))
+    return (*system.transmissions, *loads)
+
+
 def effect_of(
     system: System, name: str, load: AbstractBodyLoad, motions: tuple[Motion, ...], time: Any
 ) -> Effect:

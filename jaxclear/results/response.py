@@ -31,7 +31,6 @@ from jaxclear.ground.quantity import (
 from jaxclear.ground.wording import described
 from jaxclear.multibody.system import films_in, wearing_in
 from jaxclear.multibody.topology import coordinate_units, turns
-from jaxclear.multibody.transmissions import torque_on_flanks
 from jaxclear.results import histories
 from jaxclear.results.pointing_error import checked_through, checked_tip, tip_errors
 from jaxclear.results.trajectory import Trajectory
@@ -538,8 +537,10 @@ class PeakContactForce(AbstractResponse):
 class PeakTransmitted(AbstractResponse):
     """Largest magnitude of the torque [N m] or force [N] that a coupling transmits.
 
-    It is that of `Trajectory.transmitted` at the saving times and, for flanks with play, in all
-    steps between them.
+    It is that of `Trajectory.transmitted` at the saving times and, where the force follows from the
+    state (couplings with stiffness or play, `Cam`, `OneWay`, `Rope`, your own), in all steps
+    between them. The derivative is that of the force at the step's end where it is largest; nan
+    where steps are too long for it.
 
     Args:
         coupling: name of the coupling.
@@ -568,13 +569,15 @@ def peak_of_steps(run: Trajectory, name: str, saved: Scalar) -> Scalar:
 
     Args:
         run: a `Trajectory`.
-        name: name of a joint or of a coupling with play.
+        name: name of a joint or of a coupling.
         saved: the largest force at the saving times [N, N m], shape ().
 
     Returns:
         The larger of `saved` and the peak of the steps [N, N m], shape ().
     """
-    peak = _peak_of_any_step(run, name)
+    extremes, peak = run.extremes, _peak_of_any_step(run, name)
+    if extremes is not None and name in extremes.couplings:
+        saved = jnp.maximum(saved, extremes.transmitted[extremes.couplings.index(name)])
     # A saving time is the end of a step too; as large, the peak beside it is the larger.
     return jnp.where(peak >= (1 - SAME_FORCE) * saved, peak, saved)
 
@@ -591,16 +594,10 @@ def _peak_of_any_step(run: Trajectory, joint: str) -> Scalar:
         for each in (extremes.indentation, extremes.force)
         if each is not None
     )
-    if joint in system.transmissions:
-        coupling = system.transmissions[joint]
-        torques = [torque_on_flanks(coupling, depth, jnp.zeros(())) for depth in depths]
-    else:
-        torques = [
-            laws.contact.elastic_force(depth)
-            for laws, depth in zip(system.bearings[joint].contact_laws, depths, strict=True)
-            if laws.unfitted is None
-        ]
-    return jnp.max(jnp.stack([jnp.zeros(()), *torques, *itertools.chain(*forces)]))
+    laws = system.bearings[joint].contact_laws if joint in system.bearings else ()
+    pairs = [pair for pair in zip(laws, depths, strict=False) if pair[0].unfitted is None]
+    elastic = [own.contact.elastic_force(depth) for own, depth in pairs]
+    return jnp.max(jnp.stack([jnp.zeros(()), *elastic, *itertools.chain(*forces)]))
 
 
 class FinalCoordinate(AbstractResponse):

@@ -144,22 +144,34 @@ class Extremes(AbstractShown):
             [N m]; None where no contact has damping, so that it follows from the indentation.
         contacts: the joint, or coupling with play, of each contact.
         turn: whether each contact is a flank that turns.
+        transmitted: largest torque [N m] or force [N] of each coupling whose force follows from the
+            state, shape (couplings,); None where there is none.
+        couplings: their names.
     """
 
     indentation: Float[Array, "*batch contacts"]
     force: Float[Array, "*batch contacts"] | None
     contacts: tuple[str, ...] = eqx.field(static=True)
     turn: tuple[bool, ...] = eqx.field(static=True, default=())
+    transmitted: Any = None
+    couplings: tuple[str, ...] = eqx.field(static=True, default=())
 
     def _shown(self):
         if is_traced(self) or np.ndim(self.indentation) != 1:
             return "the largest of traced runs, or of several"
+        tables: list[Any] = []
         columns = {"contact in": self.contacts, "indentation": np.asarray(self.indentation)}
         columns |= {} if self.force is None else {"normal force": np.asarray(self.force)}
-        if not any(self.turn):
-            return (as_table(columns, units={"indentation": "m", "normal force": "N"}),)
-        columns["unit"] = ["rad, N m" if turn else "m, N" for turn in self.turn]
-        return (as_table(columns),)
+        units = None if any(self.turn) else {"indentation": "m", "normal force": "N"}
+        if any(self.turn):
+            columns["unit"] = ["rad, N m" if turn else "m, N" for turn in self.turn]
+        if self.contacts:
+            tables.append(as_table(columns, units=units))
+        if self.couplings:
+            sent = np.asarray(self.transmitted)
+            columns = {"coupling": self.couplings, "transmitted": sent}
+            tables.append(as_table(columns, units={"transmitted": "N m, N"}))
+        return tuple(tables)
 
 
 _POINT = "run.body(name).com, run.marker(body, at).position or run.coordinate(joint)"

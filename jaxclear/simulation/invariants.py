@@ -142,7 +142,7 @@ def judged(trajectory: Trajectory, model: Model, initial: Worn) -> Trajectory:
     looks, ends = look(history, model), jnp.asarray(history.time)[1:]
     figures, of_run, verdict = _of_saved_states(looks)
     of_run |= wear_by_cells(model, initial, trajectory.worn)
-    if trajectory.extremes is not None:
+    if trajectory.extremes is not None and trajectory.extremes.contacts:
         depths = trajectory.extremes.indentation[: model.layout.joint_contacts]
         of_run[Check.INDENTATION] = depths / contact_radii(model.system) if depths.size else depths
     checks = _together(model, history.formulation, of_run, figures, ends[looks.intervals])
@@ -219,10 +219,11 @@ def contact_names(model: Model) -> tuple[str, ...]:
     return joints + tuple(name for name in model.layout.plays for _ in range(2))
 
 
-def contacts_that_turn(mechanism: Mechanism, model: Model) -> tuple[bool, ...]:
-    """Of each of them whether it is pressed by an angle: the flanks of most couplings."""
+def contact_labels(mechanism: Mechanism, model: Model) -> tuple[tuple[str, ...], tuple[bool, ...]]:
+    """Their names, and of each whether it is pressed by an angle: the flanks of most couplings."""
     plays = [not moves_along(mechanism, mechanism.couplings[n]) for n in model.layout.plays]
-    return (False,) * model.layout.joint_contacts + tuple(x for play in plays for x in (play, play))
+    flanks = tuple(x for play in plays for x in (play, play))
+    return contact_names(model), (False,) * model.layout.joint_contacts + flanks
 
 
 def _places(model: Model, formulation: AbstractFormulation) -> dict[str, tuple[str, ...]]:

@@ -25,6 +25,7 @@ from jaxclear.integrators.checks import Outcome
 from jaxclear.integrators.events import Events, Peaks, newest, together
 from jaxclear.multibody import closure_coordinates, kinematics
 from jaxclear.multibody.damped_stops import loads_to_settle, with_settled_loads
+from jaxclear.multibody.forces import transmitting
 from jaxclear.multibody.mechanism import Mechanism, stabilised_as_needed
 from jaxclear.multibody.state import unpack_motion
 from jaxclear.multibody.system import System, readings, rubbing_joints, wear_maps
@@ -43,7 +44,7 @@ from jaxclear.results.trajectory import Extremes, RunStats, Trajectory
 from jaxclear.simulation import progress
 from jaxclear.simulation.error_weights import error_weights
 from jaxclear.simulation.initial_state import Past
-from jaxclear.simulation.invariants import contact_names, contacts_that_turn, is_too_deep, judged
+from jaxclear.simulation.invariants import contact_labels, contact_names, is_too_deep, judged
 from jaxclear.simulation.sampling import next_instant, sampled, sampled_loads
 from jaxclear.simulation.saving import with_few_enough_steps
 from jaxclear.simulation.wear import (
@@ -109,7 +110,8 @@ class Carry(NamedTuple):
     """What a run hands from turn to turn; `worn` are its worn surfaces (none where they are not to
     wear on), `read` these as gaps read them, `ended` [s] is the last time that it reached: when a
     state is saved, surfaces wear, or steps are to end; `steps` those accepted and rejected so far,
-    `peaks` the largest of every contact (None: no integrator follows them)."""
+    `peaks` the largest of every contact (None: no integrator follows them), `transmitted` that of
+    every coupling whose force follows from the state (None: there is none)."""
 
     state: State
     worn: Worn
@@ -119,6 +121,7 @@ class Carry(NamedTuple):
     ended: Float[Array, ""]
     steps: tuple[Int[Array, ""], Int[Array, ""]]
     peaks: Peaks | None
+    transmitted: Any
 
 
 # Worn surfaces stand in memory.
@@ -171,11 +174,22 @@ def run(
     stats, noted = RunStats(*last.steps, verdict(last.outcome)), saved.noted
     if noted is not None:
         noted = noted._replace(counts=noted.counts * (times[:-1] <= last.ended)[:, None])
-    peaks = last.peaks
-    contacts = contact_names(model), contacts_that_turn(mechanism, model)
-    extremes = None if peaks is None else Extremes(*peaks, *contacts)
+    extremes = largest_of(mechanism, model, last)
     ends = history, last.worn, last.outcome, last.ended, stats
     return judged(Trajectory(*ends, extremes=extremes, noted=noted), model, worn)
+
+
+def largest_of(mechanism: Mechanism, model: Model, last: Carry) -> Extremes | None:
+    """The largest indentations and forces of a run that ends so."""
+    if last.peaks is None and last.transmitted is None:
+        return None
+    sent = {"transmitted": last.transmitted, "couplings": transmitting(model.system)}
+    if last.peaks is None:
+        return Extremes(jnp.zeros(0), None, (), **sent)
+    # Steps that solve for the forces of flanks follow those of joints alone.
+    count = len(last.peaks.depths)
+    names, turn = contact_labels(mechanism, model)
+    return Extremes(*last.peaks, names[:count], turn[:count], **sent)
 
 
 def first_turn(
@@ -212,8 +226,9 @@ def first_turn(
     warm_start = _first_warm_start(seen, integrator, times[0], state)
     turn = Turn(model, integrator, extras.report)
     reached, none = jnp.asarray(Outcome.REACHED), jnp.zeros((), int)
-    first = Carry(state, worn, read, warm_start, reached, times[0], (none, none), None)
-    return mechanism, turn, first._replace(peaks=turn.initial_peaks(first))
+    first = Carry(state, worn, read, warm_start, reached, times[0], (none, none), None, None)
+    peaks, sent = turn.initial_peaks(first)
+    return mechanism, turn, first._replace(peaks=peaks, transmitted=sent)
 
 
 def sketched(
@@ -235,10 +250,9 @@ def sketched(
         times[-1],
         RunStats(none, none, none),
         extremes=Extremes(
-            jnp.zeros(len(contacts)),
-            jnp.zeros(len(contacts)),
-            contacts,
-            contacts_that_turn(mechanism, model),
+            *(jnp.zeros(len(contacts)), jnp.zeros(len(contacts))),
+            *contact_labels(mechanism, model),
+            *(jnp.zeros(len(transmitting(model.system))), transmitting(model.system)),
         ),
         noted=Events(blank, blank, blank[:, :, 0]) if events else None,
     )
@@ -317,13 +331,15 @@ class Turn:
         # Traced once, however often a turn stands in the program.
         self.advance = jax.jit(advance)
 
-    def initial_peaks(self, first: Carry) -> Peaks | None:
-        """Peaks before the first turn; None where the integrator follows none."""
+    def initial_peaks(self, first: Carry) -> tuple[Peaks | None, Any]:
+        """Peaks, and what couplings have transmitted, before the first turn; None where the
+        integrator follows none."""
         number = jnp.zeros(())
         ahead = self._ahead(Span(number, number, number), jnp.ones((), bool), None)
         given = self.arrays, first.read, ahead, first.state, first.warm_start
-        met = jax.eval_shape(self.advance, *given).peaks
-        return jax.tree.map(lambda each: jnp.full(each.shape, -jnp.inf), met)
+        met = jax.eval_shape(self.advance, *given)
+        peaks = jax.tree.map(lambda each: jnp.full(each.shape, -jnp.inf), met.peaks)
+        return peaks, jax.tree.map(jnp.zeros_like, met.transmitted)
 
     def _ahead(self, span: Span, running: Array, peaks: Peaks | None) -> Interval:
         weights, none = error_weights(self.model), jnp.full(self.model.layout.contacts, -jnp.inf)
@@ -368,7 +384,10 @@ class Turn:
         steps = jax.tree.map(more, now.steps, (result.accepted, result.rejected))
         largest = lambda known, met: newest(known, met, running & ~jnp.isnan(known))
         peaks = jax.tree.map(largest, now.peaks, result.peaks)
-        after = Carry(state, now.worn, now.read, result.warm_start, outcome, ended, steps, peaks)
+        rises = lambda before, new: jnp.where(running & (new > before), new, before)
+        sent = jax.tree.map(rises, now.transmitted, result.transmitted)
+        ends = result.warm_start, outcome, ended, steps, peaks, sent
+        after = Carry(state, now.worn, now.read, *ends)
         return after, losses(layout, now.state, state), result.events
 
 

@@ -499,6 +499,7 @@ LEFT_OUT = {
     "FromFunction",
     "MuntheKaas",
     "Stages",
+    "FollowingCouplings",
     "StandingAtBounds",
     "TakingImpactSpeeds",
 }
