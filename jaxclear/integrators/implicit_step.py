@@ -48,9 +48,9 @@ class ImplicitStep(AbstractIntegrator):
     change; within a step they lack that damping.
 
     Loads that oscillate by themselves (stiff springs, dampers) are explicit: step < 2 / omega of
-    them; couplings with stiffness or play are not. A step should move the parts by less than a
-    clearance, and by less than a cell of a worn surface, or forces at the saved instants are far
-    off, though the motion stays bounded.
+    them; couplings with stiffness or play and films of bearings are not. A step should move the
+    parts by less than a clearance, and by less than a cell of a worn surface, or forces at the
+    saved instants are far off, though the motion stays bounded.
 
     Without `steps_per_save` derivatives through contacts are those of the motion itself, which is
     integrated beside the steps in parts that resolve contacts (`variational`): within 1e-3 through
@@ -67,8 +67,8 @@ class ImplicitStep(AbstractIntegrator):
             Euler in the contacts: for gradients, and where single unresolved impacts do not matter.
             Choose the restitution itself where stiff impacts decide.
         newton_iterations: number of iterations on the contact laws, a count, >= 1, in the contact
-            directions alone; None: 2 (bristles may want more), or 8 where a law has a damper beside
-            its spring (AdamsImpact, KelvinVoigt), which may be stiffer than the spring.
+            directions alone; None: 2 (bristles may want more), 3 with films, or 8 where a law has a
+            damper beside its spring (AdamsImpact, KelvinVoigt), which may be stiffer than it.
         steps_per_save: number of steps between two saving times, >= 1, in place of `step`:
             reverse-mode derivatives then go backwards through the steps, which pays off for
             hundreds of numbers, and passes where surfaces wear, but not with friction in ideal

@@ -32,6 +32,9 @@ class NonColliding(AbstractIntegrator):
     (`Check.GAP_MOTION`). Midpoint rule, order 2 in smooth motion and 1 across stick and slip;
     coordinates on groups move by exponentials. Steps should end where loads jump.
 
+    A journal on a film moves as the reaction drives it (Booker's mobility method): its joint rubs
+    by the film alone, whose couple is that of the force of the step before.
+
     A stop (`load.JointStop`) is rigid, and gives its restitution back within a step; dry friction
     (`load.JointFriction`) sticks; the play of couplings is seated (`clearance.Backlash`). Joints of
     a closed loop that stick together share what holds it in no unique way.
@@ -47,7 +50,7 @@ class NonColliding(AbstractIntegrator):
             for comparison: the joint creeps, and steps must be short compared with the time in
             which friction stops a joint that slides at the law's transition speed.
 
-    Source: antenna paper (000) and guide paper (004).
+    Source: antenna paper (000) and guide paper (004); films: Booker 1965, J. Basic Eng. 87, 168.
     """
 
     pathwise: ClassVar = True

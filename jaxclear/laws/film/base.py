@@ -33,7 +33,7 @@ class Vogel(AbstractFit):
         scale: viscosity a that hot oil approaches [Pa s], > 0.
         slope: temperature b by which it thickens [K], > 0.
         pole: temperature T_0 at which it would be solid [K].
-        temperature: temperature of the film [K], above the pole.
+        temperature: temperature of the film [K], > 0, above the pole.
 
     Raises:
         ValueError: if the temperature is not above the pole.

@@ -21,8 +21,8 @@ class ShortHalfFilm(AbstractFilm):
 
     Args:
         viscosity: dynamic viscosity [Pa s], > 0; a number or a `Vogel`.
-        thinnest: least film thickness over clearance [1], >= 5e-4 and < 0.5; below it thickness is
-            taken as this.
+        thinnest: least film thickness over clearance [1], >= 0.0005 and < 0.5; below it it is taken
+            as this.
 
     Source: Ocvirk 1952, NACA TN 2808; as impedance Childs, Moes & van Leeuwen 1977, J. Lubr.
     Technol. 99, 198, doi:10.1115/1.3453016.

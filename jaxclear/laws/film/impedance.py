@@ -118,8 +118,8 @@ class Reynolds(AbstractFilm):
 
     Args:
         viscosity: dynamic viscosity [Pa s], > 0; a number or a `Vogel`.
-        thinnest: least film thickness over clearance [1], >= 5e-4 and < 0.5; below it thickness is
-            taken as this.
+        thinnest: least film thickness over clearance [1], >= 0.0005 and < 0.5; below it it is taken
+            as this.
 
     Source: Booker 1965, J. Basic Eng. 87, 168, doi:10.1115/1.3650461; Childs, Moes & van Leeuwen
     1977, J. Lubr. Technol. 99, 198, doi:10.1115/1.3453016; numbers of its own.
@@ -141,8 +141,8 @@ class HalfFilm(AbstractFilm):
 
     Args:
         viscosity: dynamic viscosity [Pa s], > 0; a number or a `Vogel`.
-        thinnest: least film thickness over clearance [1], >= 5e-4 and < 0.5; below it thickness is
-            taken as this.
+        thinnest: least film thickness over clearance [1], >= 0.0005 and < 0.5; below it it is taken
+            as this.
 
     Source: Gümbel 1921, Mon. Blätt. Berlin. Bez. VDI 5; Childs, Moes & van Leeuwen 1977, J. Lubr.
     Technol. 99, 198, doi:10.1115/1.3453016; numbers of its own.
