@@ -4,10 +4,10 @@
         [--first N] [--kept FILE] [--case N]
 
 The mechanisms are those of `benchmarks.attack` with clearance, started where their loads press them
-(`jaxclear.seated`). Where every joint of a tight `Adaptive` carries a force at every instant that
-it saves, nothing hangs on how impacts are resolved: rigid contact and joints that always touch are
-models of the same mechanism, and every rung is judged by that one run, within the accuracy that the
-book states for it. A case in which one opens is left to `benchmarks.attack`.
+(`jaxclear.resting_state`). Where every joint of a tight `Adaptive` carries a force at every instant
+that it saves, nothing hangs on how impacts are resolved: rigid contact and joints that always touch
+are models of the same mechanism, and every rung is judged by that one run, within the accuracy that
+the book states for it. A case in which one opens is left to `benchmarks.attack`.
 """
 
 import numpy as np

@@ -47,7 +47,7 @@ try:
     from jaxclear.ground import numerics, pose
     from jaxclear.ground.argument_errors import nothing_else
     from jaxclear.ground.datasets import installed
-    from jaxclear.ground.outcome import why_unknown
+    from jaxclear.ground.outcome import explain_nan
     from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity, vector
     from jaxclear.laws import contact, film, flank, friction, material, section, stiffness, wear
     from jaxclear.laws.material import Material
@@ -128,13 +128,13 @@ __all__ = [
     "clearance",
     "complementarity",
     "contact",
-    "corrected",
+    "corrected_statistics",
     "cost",
     "coupling",
     "design",
-    "design_front",
     "distribution",
     "drive",
+    "explain_nan",
     "export_fmu",
     "film",
     "fit",
@@ -154,6 +154,7 @@ __all__ = [
     "multi_fidelity",
     "numerics",
     "open_campaign",
+    "pareto_front",
     "pointing_error",
     "pose",
     "positions",
@@ -166,18 +167,18 @@ __all__ = [
     "reliability",
     "remaining_life",
     "response",
+    "resting_state",
     "scene_schema",
     "scenes",
     "screening",
-    "seated",
     "section",
     "sensitivity",
     "sensor",
-    "settled",
     "shapley_effects",
     "signal",
     "simulate",
     "sobol_indices",
+    "steady_cycle",
     "stiffness",
     "surface",
     "sweep",
@@ -186,8 +187,7 @@ __all__ = [
     "wear",
     "wear_life",
     "wear_life_derivatives",
-    "wear_lives",
-    "why_unknown",
+    "wear_life_sample",
     "worst_case",
     "write_scene",
 ]

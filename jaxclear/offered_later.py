@@ -7,11 +7,11 @@ from jaxclear.files.model_import import ImportedSoft, NotImported, read_mjcf, re
 from jaxclear.files.scene import Scene, read_scene, scene_schema, write_scene
 from jaxclear.fmu.export import export_fmu
 from jaxclear.statics.position_path import positions
-from jaxclear.statics.seated import seated
+from jaxclear.statics.resting_state import resting_state
 from jaxclear.studies import distribution, limit_state, sensor, tolerance
 from jaxclear.studies.advice import PilotSettings, advise
 from jaxclear.studies.design import catalogue, cost, limit
-from jaxclear.studies.design.design import design, design_front
+from jaxclear.studies.design.design import design, pareto_front
 from jaxclear.studies.design.largest import largest
 from jaxclear.studies.design.search import DesignSettings
 from jaxclear.studies.experiment import AbstractExperiment, AbstractVariable
@@ -22,8 +22,8 @@ from jaxclear.studies.identification.measurement import Measurement
 from jaxclear.studies.identification.remaining_life import remaining_life
 from jaxclear.studies.life.derivative import wear_life_derivatives
 from jaxclear.studies.life.life_problem import AbstractLifeResponse, LifeProblem, LifeUntil
-from jaxclear.studies.life.settled import settled
-from jaxclear.studies.life.wear_life import wear_life, wear_lives
+from jaxclear.studies.life.steady_cycle import steady_cycle
+from jaxclear.studies.life.wear_life import wear_life, wear_life_sample
 from jaxclear.studies.monte_carlo import monte_carlo
 from jaxclear.studies.position_problem import PositionProblem
 from jaxclear.studies.problem import Problem
@@ -33,7 +33,7 @@ from jaxclear.studies.sensitivity.sensitivity import sensitivity
 from jaxclear.studies.statistics.shapley import shapley_effects
 from jaxclear.studies.statistics.sobol_indices import sobol_indices
 from jaxclear.studies.store.campaign import campaign, open_campaign
-from jaxclear.studies.surface.correction import corrected
+from jaxclear.studies.surface.correction import corrected_statistics
 from jaxclear.studies.surface.surface import surface
 from jaxclear.studies.sweep import sweep
 from jaxclear.studies.tolerance.drawing import Drawing

@@ -41,7 +41,7 @@ STUDIES = (
     "experiment distribution inputs variable responses chosen_integrator usual_integrator "
     "run_experiment problem",
     "function_problem position_problem sensor tolerance",
-    "limit_state store.digest answer endless warned",
+    "limit_state store.digest answer infinite_responses run_warnings",
     "store.store store.batch",
     "sampling scrambling sequential replicas statistics",
     "monte_carlo sweep screening worst_case advice",

@@ -123,7 +123,7 @@ ANSWERS = {
     "derivative": lambda: derived().derivatives["gap", NAMES[0]],
     "estimates": lambda: derived().derivatives["gap", NAMES[0]].estimates,
     "surface": surface,
-    "corrected": lambda: jc.corrected(surface(), 8),
+    "corrected_statistics": lambda: jc.corrected_statistics(surface(), 8),
     "worst case": worst,
     "extreme": lambda: worst().least["force"],
     "sweep": lambda: jc.sweep(few(), {few().names[0]: [1.0, 2.0]}),
@@ -174,10 +174,10 @@ SENTENCES = {
     "Failed",
     "Fmu",
     "PointingError",
-    "Settled",
+    "SteadyCycle",
     "Unverified",
     "WearLife",
-    "WearLives",
+    "WearLifeSample",
 }
 
 

@@ -15,7 +15,7 @@ from types import ModuleType
 import pytest
 
 import jaxclear
-from jaxclear.ground.argument_errors import REMOVED, RENAMED
+from jaxclear.ground.argument_errors import RENAMED
 from jaxclear.ground.quantity import AbstractQuantified
 
 PINNED = Path(__file__).parent / "refdata" / "public_surface.json"
@@ -184,13 +184,6 @@ def test_numbers_that_could_be_swapped_are_given_by_name(law):
             law(0.25, 0.5)
 
 
-@pytest.mark.parametrize("path", REMOVED)
-def test_a_removed_name_says_what_to_write_instead(path):
-    place, _, name = path.rpartition(".")
-    with pytest.raises(AttributeError, match=re.escape(f"any more: {REMOVED[path]}.")):
-        getattr(importlib.import_module(place), name)
-
-
 @pytest.mark.parametrize("path", RENAMED)
 def test_an_old_name_works_and_warns_of_the_new_one(path):
     place, _, name = path.rpartition(".")
@@ -200,12 +193,16 @@ def test_an_old_name_works_and_warns_of_the_new_one(path):
 
 
 def test_an_old_argument_works_and_warns_of_the_new_one():
-    with pytest.warns(
-        FutureWarning, match=r"most_steps of integrator.Adaptive is called max_steps"
-    ):
-        assert jaxclear.integrator.Adaptive(most_steps=7).max_steps == 7
-    with pytest.raises(TypeError, match="Adaptive has no argument"):
-        jaxclear.integrator.Adaptive(most_sweeps=7)
+    with pytest.warns(FutureWarning, match=r"seated of clearance.Backlash is called in_contact"):
+        assert jaxclear.clearance.Backlash(0.1, seated=True).in_contact
+    with pytest.raises(TypeError, match="Backlash has no argument"):
+        jaxclear.clearance.Backlash(0.1, most=7)
+
+
+def test_an_old_member_works_and_warns_of_the_new_one():
+    run = jaxclear.simulate(jaxclear.scenes.slider_crank(), 1e-4, save=2, verify=False)
+    with pytest.warns(FutureWarning, match="doubts of Trajectory is called assembly_warnings"):
+        assert run.doubts == run.assembly_warnings
 
 
 def test_completion_shows_public_names_alone_and_families_are_imported_by_name():

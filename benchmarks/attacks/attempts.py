@@ -113,7 +113,7 @@ def _begin(case: Case, integrator: Any, asked: Asked) -> jc.State | None:
     """Where a case begins. Joints that always touch are seated by themselves."""
     if case.seated:
         always = isinstance(integrator, jc.integrator.NonColliding)
-        return None if always else jc.seated(case.mechanism)
+        return None if always else jc.resting_state(case.mechanism)
     worn = None
     if asked.worn is not None:
         depths = unworn(prepare(case.mechanism))

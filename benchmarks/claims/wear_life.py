@@ -279,7 +279,7 @@ def _chaotic_row(most: int) -> dict[str, Any]:
     depths: list[np.ndarray] = []
     of_depth: list[float] = []
     for _ in range(STARTS):
-        settled = jc.settled(rig, period, cycles=5, state=state)
+        settled = jc.steady_cycle(rig, period, cycles=5, state=state)
         state = settled.state
         life = jc.wear_life(
             jc.Problem(
@@ -287,7 +287,7 @@ def _chaotic_row(most: int) -> dict[str, Any]:
             ),
             cycles=MILLION,
             accuracy=2e-2,
-            most=most,
+            max_cycles=most,
         )
         volumes.append(float(life.over_life("volume")[-1]))
         told.append(float(life.errors_of_volume[-1]))

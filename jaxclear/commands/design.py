@@ -121,12 +121,12 @@ def study(scene: str, folder: Path, accuracy: float = 5e-3, show: bool = True) -
     for name in ("limits", "history"):
         print(f"{tables[name]}\n")
     bounds = [share * float(question.limits[0].bound()) for share in FRONT]
-    front = jc.design_front(
+    front = jc.pareto_front(
         question.problem, question.cost, question.limits, bounds, **question.choices, **options
     )
     for bound, one in zip(bounds, front, strict=True):
         verdict = "holds" if one.holds else "does not hold"
         print(f"{question.limits[0].words()} {bound:.4g}: cost {one.cost:.4g}, {verdict}")
-    files.write_figures(design=plot.design(best), front=plot.design_front(front))
+    files.write_figures(design=plot.design(best), front=plot.pareto_front(front))
     spared = np.ptp([one.cost for one in front])
     print(f"\nBetween the ends of the front lies {spared:.3g} of cost. {files.sentence()}")

@@ -74,7 +74,7 @@ def study(folder: Path, cycles: float = 1e6, tolerance: float = 1e-2, show: bool
     bar."""
     files = StudyFolder(folder)
     problem = life_problem()
-    settled = jc.settled(problem)
+    settled = jc.steady_cycle(problem)
     print(f"{settled}\n", flush=True)
     life = jc.wear_life(
         problem, cycles=cycles, accuracy=tolerance, store=folder / "store", progress_bar=show

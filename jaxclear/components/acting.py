@@ -32,13 +32,14 @@ class LoadState(NamedTuple):
         name: name of the state, a text.
         unit: unit of the state, a text.
         start: value at the beginning of a run [its unit].
-        most: size at which the state stands still [its unit], where steps end; None: no such bound.
+        saturation: size at which the state stands still [its unit], where steps end; None: no such
+            bound.
     """
 
     name: str
     unit: str = "1"
     start: Any = 0.0
-    most: Any = None
+    saturation: Any = None
 
 
 class CoordinateEffect(NamedTuple):

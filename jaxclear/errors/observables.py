@@ -18,7 +18,7 @@ from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import safe_divide
 from jaxclear.ground.pose import REST
 from jaxclear.multibody import contact_point, kinematics
-from jaxclear.multibody.reach import is_gap, rooms
+from jaxclear.multibody.length_scales import is_gap, rooms
 from jaxclear.multibody.system import longest_arm, wear_maps
 from jaxclear.multibody.topology import motor_name, turns
 from jaxclear.native.compiled import AROUND_A_KERNEL, compiled_quickly

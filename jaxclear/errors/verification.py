@@ -25,7 +25,7 @@ from jaxclear.errors.observables import parted
 from jaxclear.ground.quantity import concrete, is_traced, with_fields
 from jaxclear.integrators.base import SLIVER, AbstractIntegrator
 from jaxclear.integrators.events import Events
-from jaxclear.multibody.reach import narrowest
+from jaxclear.multibody.length_scales import narrowest
 from jaxclear.multibody.system import wearing_in
 from jaxclear.native import stoppable
 from jaxclear.native.compiled import compiled_quickly

@@ -28,7 +28,7 @@ from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_name
 from jaxclear.ground.warning import warn
 from jaxclear.ground.wording import listed
-from jaxclear.multibody.exchange import without_loads_on
+from jaxclear.multibody.joint_replacement import without_loads_on
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.topology import grow
 from jaxclear.results import solids

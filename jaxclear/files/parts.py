@@ -43,8 +43,6 @@ from jaxclear.files.forms import (
 )
 from jaxclear.files.text import Misread, Node, misread, plain_text
 from jaxclear.ground.argument_errors import (
-    RENAMED,
-    warn_of_renaming,
     with_new_arguments,
 )
 from jaxclear.ground.quantity import members_of_union
@@ -493,8 +491,6 @@ def _inner(path: str, word: str) -> str:
 def _named_kind(word: str, node: Node, kinds: dict, made: dict, path: str) -> Any:
     """The class, or the name of the function, that a word names."""
     place, _, last = word.removeprefix("jaxclear.").rpartition(".")
-    old = next((p for p in RENAMED if p.endswith(f"{place}.{last}")), None)
-    last = last if old is None else warn_of_renaming(old)
     fits = lambda thing: not place or public_name(thing) == f"{place}.{last}"
     if last in made and fits(made[last][0]):
         return last

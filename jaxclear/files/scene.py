@@ -43,6 +43,7 @@ from jaxclear.files.text import JSON, YAML, Misread, Node, misread, parsed, text
 from jaxclear.ground.argument_errors import answering, with_new_arguments
 from jaxclear.ground.arguments import check_flags, check_name, expect
 from jaxclear.ground.quantity import AbstractQuantified
+from jaxclear.ground.warning import warn
 from jaxclear.ground.wording import described, listed, unknown
 from jaxclear.integrators import AbstractIntegrator
 from jaxclear.multibody.mechanism import Mechanism
@@ -53,7 +54,7 @@ from jaxclear.simulation.saving import Saving, as_saving
 from jaxclear.simulation.simulate import check_duration, saving_times, simulate
 from jaxclear.statics.position_path import checked_positions, positions
 from jaxclear.statics.positions import Positions
-from jaxclear.statics.seated import seated
+from jaxclear.statics.resting_state import resting_state
 from jaxclear.studies.position_problem import PositionProblem
 from jaxclear.studies.problem import Problem
 from jaxclear.studies.responses import by_name
@@ -61,7 +62,7 @@ from jaxclear.studies.tolerance import AbstractTolerance
 from jaxclear.studies.tolerance.drawing import Drawing
 from jaxclear.studies.variable import Condition, Variable
 
-SEATED = "seated"
+RESTING = "resting"
 
 
 class Scene(AbstractQuantified):
@@ -75,8 +76,8 @@ class Scene(AbstractQuantified):
         duration: duration of the run [s], > 0; None (default) for none.
         integrator: integrator of the run; None (default) for that of `simulate`.
         save: saving times of the run, as of `simulate`; None (default) for its default.
-        state: initial state of the run, a `State`, or "seated" for that of `jaxclear.seated`; None
-            (default) for the mechanism's own.
+        state: initial state of the run, a `State`, or "resting" for that of
+            `jaxclear.resting_state`; None (default) for the mechanism's own.
         variables: variables of the problem, by name; {} by default.
         responses: responses of the problem, by name; {} by default.
         correlation: correlation of the variables [1], as of `Problem`; None (default) for none.
@@ -122,8 +123,11 @@ class Scene(AbstractQuantified):
             )
         if self.duration is not None:
             check_duration(self.duration)
-        if isinstance(self.state, str):
-            check_name("start of a Scene, beside a jaxclear.State", self.state, [SEATED])
+        if self.state == "seated":
+            sentence = 'state "seated" of a Scene is called "resting" now'
+            warn(f"{sentence}; the old name goes in the next version.", FutureWarning)
+        elif isinstance(self.state, str):
+            check_name("start of a Scene, beside a jaxclear.State", self.state, [RESTING])
         by_name("variables", self.variables)
         expect(self.responses, Mapping, "responses of a Scene", "a dictionary from names")
 
@@ -266,7 +270,7 @@ class Scene(AbstractQuantified):
         """What `simulate` and `Problem` are given alike."""
         if self.duration is None:
             raise ValueError("this scene states no duration and no positions; give it one [s].")
-        state = seated(self.mechanism) if self.state == SEATED else self.state
+        state = resting_state(self.mechanism) if isinstance(self.state, str) else self.state
         arguments: dict[str, Any] = {"duration": self.duration, "state": state}
         return arguments if self.save is None else arguments | {"save": self.save}
 

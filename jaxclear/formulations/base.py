@@ -189,7 +189,7 @@ def check_play(mechanism: Mechanism, integrator: str, rigid: bool) -> None:
     for name, coupling in mechanism.couplings.items():
         if coupling.play is None:
             continue
-        if rigid or coupling.play.seated:
+        if rigid or coupling.play.in_contact:
             check_unworn(name, coupling, integrator)
         if rigid and coupling.play.restitution is not None:
             check_lossless(name, coupling, f"{integrator} takes the flanks of its play as rigid")

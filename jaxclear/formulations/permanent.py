@@ -94,9 +94,9 @@ def _with_seated_plays(mechanism: Mechanism) -> Mechanism:
     couplings: dict[str, Any] = {}
     for name, own in mechanism.couplings.items():
         play: Any = own.play
-        if play is not None and not play.seated:
+        if play is not None and not play.in_contact:
             coupling: Any = own
-            play = dataclasses.replace(play, seated=True)
+            play = dataclasses.replace(play, in_contact=True)
             couplings[name] = dataclasses.replace(coupling, play=play)
     if not couplings:
         return mechanism

@@ -34,27 +34,43 @@ ARGUMENT = re.compile(
 KEYWORDS = (inspect.Parameter.KEYWORD_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
 ORDERED = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
 
-# Names that are offered no more, each with what to write instead; kept for one version.
-REMOVED = {
-    "jaxclear.AbstractProblem": (
-        "derive from jaxclear.AbstractExperiment, and write jaxclear.Problem.of(experiment, "
-        "variables)"
-    ),
-}
 # Names that have changed, by the old ones; these work for one version and warn.
 RENAMED = {
-    "jaxclear.coupling.Hold": "Latch",
-    "jaxclear.drive.Held": "ConstantPosition",
-    "jaxclear.heated": "apply_thermal_expansion",
+    "jaxclear.corrected": "corrected_statistics",
+    "jaxclear.design_front": "pareto_front",
+    "jaxclear.plot.corrected": "corrected_statistics",
+    "jaxclear.plot.design_front": "pareto_front",
+    "jaxclear.plot.settled": "steady_cycle",
+    "jaxclear.plot.wear_lives": "wear_life_sample",
+    "jaxclear.response.concerned": "depends_on",
+    "jaxclear.seated": "resting_state",
+    "jaxclear.settled": "steady_cycle",
+    "jaxclear.wear_lives": "wear_life_sample",
+    "jaxclear.why_unknown": "explain_nan",
+}
+RENAMED_ARGUMENTS = {
+    "asked": "subject",
+    "most": "max_cycles",
+    "own": "stated",
+    "seated": "in_contact",
 }
 
-RENAMED_ARGUMENTS = {
-    "both_ways": "reverse_loads",
-    "found": "result",
-    "most_steps": "max_steps",
-    "most_sweeps": "max_sweeps",
-    "way": "path",
-}
+
+class Renamed:
+    """A member of a class by its old name: it warns, and is the one with the `new` name."""
+
+    def __init__(self, new: str):
+        self.new = new
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self.name = name
+
+    def __get__(self, instance: Any, owner: type) -> Any:
+        if instance is None:
+            return self
+        sentence = f"{self.name} of {public_name(owner)} is called {self.new} now"
+        warn(f"{sentence}; the old name goes in the next version.", FutureWarning)
+        return getattr(instance, self.new)
 
 
 def with_new_arguments(owner: str, parameters: Container[str], args: dict) -> dict:
@@ -70,7 +86,7 @@ def with_new_arguments(owner: str, parameters: Container[str], args: dict) -> di
 
 
 def warn_of_renaming(path: str) -> str:
-    """The new name for an old one, such as "jaxclear.drive.Held"."""
+    """The new name for an old one, such as "jaxclear.seated"."""
     new = f"{path.rpartition('.')[0]}.{RENAMED[path]}"
     warn(f"{path} is called {new} now; the old name goes in the next version.", FutureWarning)
     return RENAMED[path]
@@ -240,8 +256,6 @@ def nothing_else(
             return getattr(sys.modules[module], warn_of_renaming(f"{module}.{name}"))
         if name.startswith("__"):
             raise AttributeError(f"{path}.")
-        if f"{module}.{name}" in REMOVED:
-            raise AttributeError(f"{path} any more: {REMOVED[f'{module}.{name}']}.")
         if importlib.util.find_spec(f"{module.partition('.')[0]}.{name}") is not None:
             raise AttributeError(f"{path} yet: write `from {module} import {name}` first.")
         members = [one for one in offered if not one.startswith("Abstract")]

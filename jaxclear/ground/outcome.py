@@ -92,7 +92,7 @@ class Unknown(AbstractOutcome):
         return np.uint64(QUIET | WORD | self.value).view(np.float64)
 
 
-def why_unknown(derivatives: Any) -> str:
+def explain_nan(derivatives: Any) -> str:
     """The reasons why derivatives are nan.
 
     Args:

@@ -40,7 +40,7 @@ from jaxclear.integrators.events import transmitted
 from jaxclear.integrators.munthe_kaas import GroupTerm, MuntheKaas, state_group
 from jaxclear.integrators.saltation import equations, motion_of
 from jaxclear.multibody.forces import transmitting
-from jaxclear.multibody.reach import narrowest_gap
+from jaxclear.multibody.length_scales import narrowest_gap
 from jaxclear.multibody.state import within_bounds
 from jaxclear.multibody.system import longest_arm
 from jaxclear.native import size_of, with_fast_loops

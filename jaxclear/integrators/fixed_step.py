@@ -200,7 +200,7 @@ class FixedStep(AbstractIntegrator):
     (`variational`), nan where that differs from it by 3 % of the narrowest gap. Else they are not
     those of the motion (`jaxclear.sensitivity` compares methods). Without `steps_per_save` they are
     nan too where steps twice as long show that they are off by a hundredth
-    (`jaxclear.why_unknown`).
+    (`jaxclear.explain_nan`).
 
     Args:
         step: largest step [s], > 0.

@@ -55,7 +55,7 @@ from jaxclear.ground.tangents import (
 from jaxclear.integrators.base import RIGID, AbstractIntegrator, Interval, divide, searching_steps
 from jaxclear.integrators.derivative_error import IMPACT_FIGURES, NO_SECOND, trusted_impacts
 from jaxclear.integrators.saltation import FIRST
-from jaxclear.multibody.reach import gaps_crossed
+from jaxclear.multibody.length_scales import gaps_crossed
 from jaxclear.multibody.topology import rubbing_in
 from jaxclear.native import one_row
 

@@ -51,7 +51,7 @@ from jaxclear.integrators.derivative_error import (
 )
 from jaxclear.integrators.events import Peaks, no_peaks, peaks
 from jaxclear.integrators.saltation import Now, along, closed, cross_within, motion_of, moves
-from jaxclear.multibody.reach import gaps_crossed
+from jaxclear.multibody.length_scales import gaps_crossed
 from jaxclear.multibody.state import bristle_places
 
 

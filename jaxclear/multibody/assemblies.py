@@ -18,8 +18,8 @@ from jaxclear.ground.wording import listed
 from jaxclear.multibody import assembly_modes, start_check
 from jaxclear.multibody.assembly import FirstFound, first_search
 from jaxclear.multibody.assembly_modes import Mode
-from jaxclear.multibody.given import at_start
 from jaxclear.multibody.mechanism import Mechanism, rebuilt
+from jaxclear.multibody.start_constraints import at_start
 from jaxclear.multibody.topology import coordinate_units, joint_of
 
 

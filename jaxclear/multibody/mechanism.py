@@ -38,7 +38,7 @@ from jaxclear.ground.quantity import AbstractQuantified, as_number, on_device, w
 from jaxclear.ground.table import as_table
 from jaxclear.ground.wording import described, public_name
 from jaxclear.multibody import validation
-from jaxclear.multibody.exchange import exchanged, start_arguments, without_loads_on
+from jaxclear.multibody.joint_replacement import exchanged, start_arguments, without_loads_on
 from jaxclear.multibody.loops import AsNeeded, Baumgarte, Projection
 from jaxclear.multibody.magnitudes import check_plane, warn_of_magnitudes
 from jaxclear.multibody.topology import (

@@ -20,11 +20,11 @@ from jaxclear.ground.compiling import map_many
 from jaxclear.ground.grouping import LARGEST_UNROLLED, unstacked
 from jaxclear.ground.printing import with_text_repr
 from jaxclear.ground.quantity import is_traced
-from jaxclear.multibody import constraints, given, kinematics, loops
-from jaxclear.multibody.given import at_start
+from jaxclear.multibody import constraints, kinematics, loops, start_constraints
 from jaxclear.multibody.loops import Closure
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.motors_at_start import turned
+from jaxclear.multibody.start_constraints import at_start
 from jaxclear.multibody.state import unpack_motion
 from jaxclear.multibody.system import System, longest_arm, motor_ends, prepare
 from jaxclear.multibody.tree import Motion
@@ -153,7 +153,7 @@ def motions_at(problem: Ask, q: Array, v: Array, time: Any) -> tuple[tuple, tupl
 
 def speed_scales(problem: Ask) -> Float[Array, " v"]:
     """For each free speed what counts as much as a radian a second."""
-    return given.speed_scales(problem.system, problem.arm)
+    return start_constraints.speed_scales(problem.system, problem.arm)
 
 
 class Place(NamedTuple):
@@ -207,9 +207,11 @@ def _coordinate_blocks(problem: Ask, place: Place, kind: str) -> list[Block]:
         reported_of: Any = _straight(problem, "start", "guess").items()
     else:
         reported_of = problem.mechanism.given["start" if kind == START else "guess"].items()
-    sources = [given.source(problem.mechanism, problem.system, name) for name, _ in reported_of]
+    sources = [
+        start_constraints.source(problem.mechanism, problem.system, name) for name, _ in reported_of
+    ]
     values_of = [values for _, values in reported_of]
-    equations = given.coordinate_equations(
+    equations = start_constraints.coordinate_equations(
         problem.system, place.motions, place.own, sources, values_of, kind == GUESS
     )
     for (name, values), where, equation in zip(reported_of, sources, equations, strict=True):
@@ -226,8 +228,10 @@ def speed_blocks(problem: Ask, q: Array, v: Array, time: Any) -> list[Block]:
     still = _straight(problem, "speeds")
     later: list[Block] = []
     for name, values in (fast | still).items():
-        where = given.source(problem.mechanism, problem.system, name)
-        result = given.speed_equations(problem.system, motions, branch_q, branch_v, where, values)
+        where = start_constraints.source(problem.mechanism, problem.system, name)
+        result = start_constraints.speed_equations(
+            problem.system, motions, branch_q, branch_v, where, values
+        )
         report = (True,) * len(values)
         kind, there = (START, blocks) if name in fast else (STRAIGHT, later)
         there.append(_start_block(problem, kind, name, where, result, report))
@@ -344,7 +348,9 @@ def _start_block(
     problem: Ask, kind: str, name: str, where: Any, result: Any, flags: tuple
 ) -> Block:
     measure = [
-        x for x, flag in zip(given.scales(where.joint, problem.arm), flags, strict=True) if flag
+        x
+        for x, flag in zip(start_constraints.scales(where.joint, problem.arm), flags, strict=True)
+        if flag
     ]
     return Block(
         kind, name, sp.stack(result.missed), sp.stack(measure), jnp.zeros(0), result.jacobian

@@ -317,7 +317,7 @@ def unpack_followed(layout: Layout, entries: Any, shares: Any = None) -> Followe
 def bounds(system: System, layout: Layout) -> dict[int, Any]:
     """The size at which states stand still, by their place in the state, of those that have one:
     deflections of friction that holds."""
-    most: list[Any] = [x.most for _, load in coordinate_loads(system) for x in load.states()]
+    most: list[Any] = [x.saturation for _, load in coordinate_loads(system) for x in load.states()]
     for part in system.transmissions.values():
         fixed = part.coupling.thread if part.driving is None else part.driving.loses
         yields = None if fixed is None else fixed.presliding

@@ -27,7 +27,6 @@ from jax.interpreters import partial_eval as pe
 from jaxclear.ground.warning import warn
 from jaxclear.native import dispatch
 from jaxclear.native import kernel as kernels
-from jaxclear.native.barriers import in_pieces
 from jaxclear.native.dispatch import widest
 from jaxclear.native.program import (
     Program,
@@ -44,6 +43,7 @@ from jaxclear.native.program import (
     samples_in,
     still,
 )
+from jaxclear.native.program_pieces import in_pieces
 from jaxclear.native.tangent import (
     bundled,
     by_portions,

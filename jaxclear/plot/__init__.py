@@ -9,11 +9,11 @@ from jaxclear.plot.drawing import drawing as drawing
 from jaxclear.plot.identification import identification as identification
 from jaxclear.plot.identification import remaining_life as remaining_life
 from jaxclear.plot.life import design as design
-from jaxclear.plot.life import design_front as design_front
 from jaxclear.plot.life import largest as largest
-from jaxclear.plot.life import settled as settled
+from jaxclear.plot.life import pareto_front as pareto_front
+from jaxclear.plot.life import steady_cycle as steady_cycle
 from jaxclear.plot.life import wear_life as wear_life
-from jaxclear.plot.life import wear_lives as wear_lives
+from jaxclear.plot.life import wear_life_sample as wear_life_sample
 from jaxclear.plot.motion import angular_velocity as angular_velocity
 from jaxclear.plot.motion import displacement as displacement
 from jaxclear.plot.motion import end_centres as end_centres
@@ -29,7 +29,7 @@ from jaxclear.plot.signal import bifurcation as bifurcation
 from jaxclear.plot.signal import phase_portrait as phase_portrait
 from jaxclear.plot.signal import poincare_section as poincare_section
 from jaxclear.plot.signal import spectrum as spectrum
-from jaxclear.plot.studies import corrected as corrected
+from jaxclear.plot.studies import corrected_statistics as corrected_statistics
 from jaxclear.plot.studies import error_budget as error_budget
 from jaxclear.plot.studies import monte_carlo as monte_carlo
 from jaxclear.plot.studies import multi_fidelity as multi_fidelity

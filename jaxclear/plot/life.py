@@ -14,18 +14,18 @@ from jaxclear.plot.canvas import ROW, Roomy, as_warnings, key, panels, readable,
 from jaxclear.studies.design.largest import Largest
 from jaxclear.studies.design.result import Design
 from jaxclear.studies.life.result import CONFIDENCE, DEPTH, VOLUME, WearLife
-from jaxclear.studies.life.settled import Settled
-from jaxclear.studies.life.wear_life import WearLives
+from jaxclear.studies.life.steady_cycle import SteadyCycle
+from jaxclear.studies.life.wear_life import WearLifeSample
 
 
 @answering
-def settled(result: Settled, *, ax: Any = None) -> Any:
+def steady_cycle(result: SteadyCycle, *, ax: Any = None) -> Any:
     """Distance between the ends of each cycle, with the tolerance, and the responses of each cycle.
 
     Filled marks are cycles that are taken as the motion.
 
     Args:
-        result: a `Settled`, as `jaxclear.settled` returns it.
+        result: a `SteadyCycle`, as `jaxclear.steady_cycle` returns it.
         ax: `matplotlib.axes.Axes` to draw in, one for the distance and one for each response; by
             default a new figure.
 
@@ -35,10 +35,10 @@ def settled(result: Settled, *, ax: Any = None) -> Any:
     Raises:
         ValueError: if `result` is something else.
     """
-    expect(result, Settled, "the cycle", "what jaxclear.settled returns")
+    expect(result, SteadyCycle, "the cycle", "what jaxclear.steady_cycle returns")
     table, units = result.table(), result.problem.units()
     names = list(result.problem.response_names)
-    sheet = panels("settled", ax, 1, 1 + len(names), (4.2 * (1 + len(names)), 3.4))
+    sheet = panels("steady_cycle", ax, 1, 1 + len(names), (4.2 * (1 + len(names)), 3.4))
     first, *others = sheet.axes.flat
     taken = table["taken"].to_numpy(bool)
     first.semilogy(table["cycle"], table["apart"], "o-", ms=4, mfc="none", lw=1.0)
@@ -60,11 +60,11 @@ def settled(result: Settled, *, ax: Any = None) -> Any:
 
 
 @answering
-def wear_lives(result: WearLives, *, ax: Any = None) -> Any:
+def wear_life_sample(result: WearLifeSample, *, ax: Any = None) -> Any:
     """Largest depth and worn volume of every life over its cycles.
 
     Args:
-        result: a `WearLives`, as `jaxclear.wear_lives` returns it.
+        result: a `WearLifeSample`, as `jaxclear.wear_life_sample` returns it.
         ax: two `matplotlib.axes.Axes` to draw in; by default a new figure.
 
     Returns:
@@ -73,8 +73,8 @@ def wear_lives(result: WearLives, *, ax: Any = None) -> Any:
     Raises:
         ValueError: if `result` is something else.
     """
-    expect(result, WearLives, "the lives", "what jaxclear.wear_lives returns")
-    sheet = panels("wear_lives", ax, 1, 2, (9.0, 3.8))
+    expect(result, WearLifeSample, "the lives", "what jaxclear.wear_life_sample returns")
+    sheet = panels("wear_life_sample", ax, 1, 2, (9.0, 3.8))
     lives = [life for life in result.lives if life]
     for axis, kind in zip(sheet.axes.flat, (DEPTH, VOLUME), strict=True):
         curves = [life.over_life(kind) for life in lives]
@@ -170,7 +170,7 @@ def _response(axis: Any, life: WearLife, name: str) -> None:
     bars = factor * np.array(noise)
     axis.errorbar(life.cycles, factor * values, yerr=bars, fmt="o", ms=4, color="C2", capsize=3)
     axis.set_ylabel(name if unit == "1" else f"{name} [{unit}]")
-    if life.concerned(name):
+    if life.is_affected(name):
         axis.set_title("in doubt: a warning concerns it", fontsize=8, color="C3")
 
 
@@ -291,13 +291,13 @@ def largest(result: Largest, *, ax: Any = None) -> Any:
 
 
 @answering
-def design_front(result: Sequence[Design], limit: int = 0, *, ax: Any = None) -> Any:
+def pareto_front(result: Sequence[Design], limit: int = 0, *, ax: Any = None) -> Any:
     """Cost of designs over the bound of one limit.
 
     Designs that satisfy their limits are filled, the others hollow.
 
     Args:
-        result: a sequence of `Design`, as `jaxclear.design_front` returns it.
+        result: a sequence of `Design`, as `jaxclear.pareto_front` returns it.
         limit: number of the limit, from 0 (default) on.
         ax: `matplotlib.axes.Axes` to draw in; by default a new figure.
 
@@ -308,11 +308,11 @@ def design_front(result: Sequence[Design], limit: int = 0, *, ax: Any = None) ->
         ValueError: if `result` is something else.
     """
     for one in result:
-        expect(one, Design, "a design of the front", "one that jaxclear.design_front returns")
+        expect(one, Design, "a design of the front", "one that jaxclear.pareto_front returns")
     bounds = np.array([float(one.limits[limit].bound()) for one in result])
     factor, unit = readable(bounds, result[0].unit(limit))
     costs, holds = np.array([one.cost for one in result]), np.array([one.holds for one in result])
-    sheet = panels("design_front", ax, size=(5.6, 3.8))
+    sheet = panels("pareto_front", ax, size=(5.6, 3.8))
     axis = sheet.one
     axis.plot(factor * bounds, costs, "-", color="C0", lw=1.2)
     axis.plot(factor * bounds[holds], costs[holds], "o", color="C0", label="holds")

@@ -11,11 +11,11 @@ from jaxclear.ground.arguments import expect
 from jaxclear.ground.wording import described, listed
 from jaxclear.plot.canvas import check_run, key, panels, readable, warned
 from jaxclear.plot.identification import identification, remaining_life
-from jaxclear.plot.life import design, largest, settled, wear_life, wear_lives
+from jaxclear.plot.life import design, largest, steady_cycle, wear_life, wear_life_sample
 from jaxclear.plot.motion import pointing_budget
 from jaxclear.plot.signal import reached
 from jaxclear.plot.studies import (
-    corrected,
+    corrected_statistics,
     monte_carlo,
     multi_fidelity,
     reliability,
@@ -39,8 +39,8 @@ from jaxclear.studies.fidelity.result import MultiFidelity
 from jaxclear.studies.identification.remaining_life import RemainingLife
 from jaxclear.studies.identification.result import Identified
 from jaxclear.studies.life.result import WearLife
-from jaxclear.studies.life.settled import Settled
-from jaxclear.studies.life.wear_life import WearLives
+from jaxclear.studies.life.steady_cycle import SteadyCycle
+from jaxclear.studies.life.wear_life import WearLifeSample
 from jaxclear.studies.monte_carlo import MonteCarlo
 from jaxclear.studies.reliability.result import Reliability
 from jaxclear.studies.screening import Screening
@@ -48,7 +48,7 @@ from jaxclear.studies.sensitivity.derivative import Sensitivity
 from jaxclear.studies.statistics.shapley import ShapleyEffects
 from jaxclear.studies.statistics.sobol_indices import SobolIndices
 from jaxclear.studies.store.result import Campaign
-from jaxclear.studies.surface.correction import Corrected
+from jaxclear.studies.surface.correction import CorrectedStatistics
 from jaxclear.studies.surface.response_surface import ResponseSurface
 from jaxclear.studies.sweep import Sweep
 from jaxclear.studies.worst_case import WorstCase
@@ -174,7 +174,7 @@ def positions(result: Positions, *, ax: Any = None) -> Any:
 FIGURES: dict[type, Callable] = {
     Advice: work_precision,
     Campaign: lambda campaign, **how: monte_carlo(campaign.sample, **how),
-    Corrected: corrected,
+    CorrectedStatistics: corrected_statistics,
     Design: design,
     Identified: identification,
     Largest: largest,
@@ -187,13 +187,13 @@ FIGURES: dict[type, Callable] = {
     ResponseSurface: surface,
     Screening: screening,
     Sensitivity: sensitivity,
-    Settled: settled,
+    SteadyCycle: steady_cycle,
     ShapleyEffects: shapley_effects,
     SobolIndices: sobol_indices,
     Sweep: sweep,
     Trajectory: overview,
     WearLife: wear_life,
-    WearLives: wear_lives,
+    WearLifeSample: wear_life_sample,
     WorstCase: worst_case,
 }
 

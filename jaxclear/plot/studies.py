@@ -24,7 +24,7 @@ from jaxclear.studies.sensitivity.derivative import Sensitivity
 from jaxclear.studies.statistics.shapley import ShapleyEffects
 from jaxclear.studies.statistics.sobol_indices import SobolIndices
 from jaxclear.studies.store.result import Campaign
-from jaxclear.studies.surface.correction import Corrected
+from jaxclear.studies.surface.correction import CorrectedStatistics
 from jaxclear.studies.surface.response_surface import ResponseSurface
 from jaxclear.studies.sweep import Sweep
 from jaxclear.studies.worst_case import WorstCase
@@ -80,9 +80,9 @@ def monte_carlo(study: MonteCarlo | Campaign, *, ax: Any = None) -> Any:
 
 def _warned_samples(study: MonteCarlo) -> list[str]:
     """How many samples warn, and what the means are without them."""
-    if not len(study.warned) and not study.doubts:
+    if not len(study.warned) and not study.accuracy_warnings:
         return []
-    sentences = as_warnings(study.doubts or [study.sentence()])
+    sentences = as_warnings(study.accuracy_warnings or [study.sentence()])
     for row in study.summary().to_dict("records"):
         if row["warned"]:
             values = study.responses[row["response"]]
@@ -485,11 +485,11 @@ def _means(what: str, means: dict, deviations: dict, problem: Any, ax: Any, titl
 
 
 @answering
-def corrected(study: Corrected, *, ax: Any = None) -> Any:
+def corrected_statistics(study: CorrectedStatistics, *, ax: Any = None) -> Any:
     """Mean and standard deviation of each response by a corrected surface, with 95 % errors.
 
     Args:
-        study: a `Corrected`, as `jaxclear.corrected` returns it.
+        study: a `CorrectedStatistics`, as `jaxclear.corrected_statistics` returns it.
         ax: `matplotlib.axes.Axes` to draw in, one for each response; by default a new figure.
 
     Returns:
@@ -498,10 +498,10 @@ def corrected(study: Corrected, *, ax: Any = None) -> Any:
     Raises:
         ValueError: if `study` is something else.
     """
-    expect(study, Corrected, "the study", "what jaxclear.corrected returns")
+    expect(study, CorrectedStatistics, "the study", "what jaxclear.corrected_statistics returns")
     title = f"Surface corrected by {study.runs} runs"
     problem = study.surface.problem
-    return _means("corrected", study.means, study.deviations, problem, ax, title)
+    return _means("corrected_statistics", study.means, study.deviations, problem, ax, title)
 
 
 @answering

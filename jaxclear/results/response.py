@@ -51,7 +51,7 @@ __all__ = [
     "PositionError",
     "ThinnestFilm",
     "WornVolume",
-    "concerned",
+    "depends_on",
     "unit_of",
 ]
 
@@ -143,7 +143,7 @@ def needs_of(response: Any) -> str:
     return response.drawn_from() if isinstance(response, AbstractResponse) else "anything"
 
 
-def concerned(response: Any, concerns: str) -> bool:
+def depends_on(response: Any, concerns: str) -> bool:
     """Whether a warning about a part of a run concerns a response.
 
     Args:

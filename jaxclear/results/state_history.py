@@ -23,8 +23,8 @@ from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.quantity import AbstractQuantified, Scalar
 from jaxclear.ground.wording import unknown
 from jaxclear.multibody import kinematics, state
-from jaxclear.multibody.given import is_reversed, reversed_rows
 from jaxclear.multibody.mechanism import Mechanism
+from jaxclear.multibody.start_constraints import is_reversed, reversed_rows
 from jaxclear.multibody.state import Layout
 from jaxclear.multibody.system import geared_motors
 from jaxclear.multibody.topology import Redundancy, joint_of
@@ -269,8 +269,8 @@ class State(AbstractQuantified):
 
     `run.state()` is a state of another run: a new run continues from there, at its time, with its
     speeds, the memory of its laws and its worn surfaces. Where lengths have changed since, it
-    begins at the nearest state that closes the loops. `jaxclear.seated` returns a state in which
-    journals rest in their bearings.
+    begins at the nearest state that closes the loops. `jaxclear.resting_state` returns a state in
+    which journals rest in their bearings.
 
     Args:
         worn: worn depths [m] by joint and surface, such as `run.worn`; surfaces that are not named

@@ -18,6 +18,7 @@ from jaxtyping import Array, Float, Int
 
 from jaxclear.components.body import Marker
 from jaxclear.formulations.base import AbstractFormulation
+from jaxclear.ground.argument_errors import Renamed
 from jaxclear.ground.arguments import check_count, check_flags, check_name
 from jaxclear.ground.datasets import write_csv
 from jaxclear.ground.printing import AbstractShown, with_text_repr
@@ -203,7 +204,7 @@ class Trajectory(AbstractShown):
             none.
         noted: touches and releases, where `save=Saving(events=...)` records them; else None.
         verification: numerical errors of the run.
-        doubts: warnings about the assembly of the mechanism.
+        assembly_warnings: warnings about the assembly of the mechanism.
         singular_positions: positions at which the drives do not determine the motion.
     """
 
@@ -216,8 +217,9 @@ class Trajectory(AbstractShown):
     extremes: Extremes | None = None
     noted: Events | None = None
     verification: AbstractVerification = eqx.field(default_factory=Unverified)
-    doubts: tuple[str, ...] = eqx.field(static=True, default=())
+    assembly_warnings: tuple[str, ...] = eqx.field(static=True, default=())
     singular_positions: tuple[SingularPosition, ...] = ()
+    doubts = Renamed("assembly_warnings")
 
     def __getitem__(self, index: int) -> "Trajectory":
         """One run of a batch that `jax.vmap` has made.
@@ -305,8 +307,10 @@ class Trajectory(AbstractShown):
         self.history.check_single()
         if self.succeeded:
             odd = in_sentences(tuple(one for one in self.singular_positions if not one.passed))
-            return self.doubts + self.invariants.warnings + odd + self.verification.warnings
-        return self.doubts + (self.invariants.before_the_end or self.invariants.warnings)
+            return (
+                self.assembly_warnings + self.invariants.warnings + odd + self.verification.warnings
+            )
+        return self.assembly_warnings + (self.invariants.before_the_end or self.invariants.warnings)
 
     @property
     @on_numbers

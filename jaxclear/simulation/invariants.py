@@ -42,8 +42,8 @@ from jaxclear.integrators.checks import (
 )
 from jaxclear.multibody import constraints, dynamics, kinematics, loops, state
 from jaxclear.multibody.contact_point import depths
+from jaxclear.multibody.length_scales import rooms, shortest_part
 from jaxclear.multibody.mechanism import Mechanism
-from jaxclear.multibody.reach import rooms, shortest_part
 from jaxclear.multibody.system import System, longest_arm, wear_maps
 from jaxclear.multibody.topology import moves_along
 from jaxclear.native import through_rows

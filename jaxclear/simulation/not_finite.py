@@ -78,7 +78,8 @@ def _of_springs(mechanism: Mechanism) -> str:
     frictions = [
         name
         for name, load in mechanism.loads.items()
-        if isinstance(load, AbstractStateLoad) and any(x.most is not None for x in load.states())
+        if isinstance(load, AbstractStateLoad)
+        and any(x.saturation is not None for x in load.states())
     ]
     if not couplings and not frictions:
         return ""

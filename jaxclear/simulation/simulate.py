@@ -328,7 +328,7 @@ def _simulated(
                 integrator, run = refined, again(Replica(refined, saved))
             run = judged_by(shares, until_the_end(diagnosed(guarded(run, integrator))))
         run = verify_run(run, integrator, again, how.verify, bounds)
-    return dataclasses.replace(run, doubts=(doubt,)) if doubt else run
+    return dataclasses.replace(run, assembly_warnings=(doubt,)) if doubt else run
 
 
 def check_one_of_two(owner: str, integrator: Any) -> None:

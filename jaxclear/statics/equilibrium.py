@@ -26,8 +26,8 @@ from jaxclear.formulations.permanent_reactions import Reaction
 from jaxclear.ground import sparse as sp
 from jaxclear.multibody import closure_coordinates, constraints, contact_point, kinematics
 from jaxclear.multibody.forces import with_rows
-from jaxclear.multibody.given import speed_scales
 from jaxclear.multibody.rows import Row, row_of_wrench
+from jaxclear.multibody.start_constraints import speed_scales
 from jaxclear.multibody.start_equations import retract
 from jaxclear.multibody.state import unpack_motion
 from jaxclear.multibody.system import System, longest_arm, prepare

@@ -24,10 +24,10 @@ from jaxclear.ground.quantity import is_traced, with_quantities
 from jaxclear.ground.wording import described
 from jaxclear.multibody import constraints
 from jaxclear.multibody.assembly import nearest, ready
-from jaxclear.multibody.given import speed_scales
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.redundancy import DEPENDENT, is_new, rank_of
 from jaxclear.multibody.start_check import HELD
+from jaxclear.multibody.start_constraints import speed_scales
 from jaxclear.multibody.system import longest_arm, prepare
 from jaxclear.native.compiled import compiled_quickly
 from jaxclear.statics import least_energy

@@ -21,8 +21,8 @@ from jaxclear.ground.datasets import Column, dataset, write_csv
 from jaxclear.ground.pose import quaternion_from_rotation
 from jaxclear.ground.printing import AbstractShown
 from jaxclear.ground.wording import listed
-from jaxclear.multibody.given import source
 from jaxclear.multibody.kinematics import relative_motion
+from jaxclear.multibody.start_constraints import source
 from jaxclear.results.histories import AbstractHistory, MarkerHistory, marker, measured
 from jaxclear.results.state_history import check_single, one_of, single
 from jaxclear.statics.equilibrium import Carried, Resting, case_of, resting

@@ -37,12 +37,12 @@ from jaxclear.ground.pose import Pose, frame_with_axis
 from jaxclear.ground.wording import listed, unknown
 from jaxclear.multibody import constraints, dynamics, kinematics, tree
 from jaxclear.multibody.dynamics import Solution
-from jaxclear.multibody.exchange import at_rest_under
 from jaxclear.multibody.forces import Forces, applied_forces
-from jaxclear.multibody.given import speed_scales
+from jaxclear.multibody.joint_replacement import at_rest_under
 from jaxclear.multibody.mechanism import Mechanism, rebuilt
 from jaxclear.multibody.newton import shortened
 from jaxclear.multibody.rows import wrench_in_joint
+from jaxclear.multibody.start_constraints import speed_scales
 from jaxclear.multibody.start_equations import retract
 from jaxclear.multibody.state import Followed, unpack_motion
 from jaxclear.multibody.system import System, acting_in, longest_arm, motor_ends, prepare

@@ -10,7 +10,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from jaxclear.ground.argument_errors import answering
+from jaxclear.ground.argument_errors import Renamed, answering
 from jaxclear.ground.arguments import check_count, check_flags, check_name, check_number
 from jaxclear.integrators.checks import Checks
 from jaxclear.studies.answer import (
@@ -22,14 +22,15 @@ from jaxclear.studies.answer import (
     Column,
     Stated,
 )
-from jaxclear.studies.endless import (
+from jaxclear.studies.infinite_responses import (
     check_within_horizon,
-    endless_sentences,
-    refuse_endless,
+    infinite_messages,
+    refuse_infinite,
     successes,
 )
 from jaxclear.studies.problem import Problem
 from jaxclear.studies.replicas import Replicas, numerical_error, replicas_of, unverified
+from jaxclear.studies.run_warnings import any_warning, counted, in_words, warns_about
 from jaxclear.studies.sampling import Drawing, check_sampled, checked_scramblings, groups
 from jaxclear.studies.sequential import FIRST_SAMPLES, Grown, first_of, until_accurate
 from jaxclear.studies.statistics.accuracy import NumericalError, parse_accuracy
@@ -62,7 +63,6 @@ from jaxclear.studies.statistics.summary import (
 )
 from jaxclear.studies.store.batch import chunk_size, evaluate_all
 from jaxclear.studies.store.store import stored
-from jaxclear.studies.warned import any_warning, counted, in_words, warned_of
 
 # What responses of replicas are, which are those of the first samples.
 FINER = "of a finer run of the same sample"
@@ -114,11 +114,15 @@ class MonteCarlo(AbstractAnswer):
         """What each of those warns of, by its index."""
         return {int(i): self.checks.of_sample(int(i)).warnings for i in self.warned}
 
-    def concerned(self, response: str) -> np.ndarray:
+    concerned = Renamed("affected_samples")
+    doubts = Renamed("accuracy_warnings")
+    doubts_of = Renamed("accuracy_warnings_of")
+
+    def affected_samples(self, response: str) -> np.ndarray:
         """Indices of the samples that carry a warning which concerns this response (peak forces
         that the steps do not resolve concern no position)."""
         check_name("response", response, self.responses, " in this study")
-        codes = warned_of(self.problem, response, self.checks, self.count)
+        codes = warns_about(self.problem, response, self.checks, self.count)
         return np.setdiff1d(np.flatnonzero(codes), self.failed)
 
     @property
@@ -127,15 +131,16 @@ class MonteCarlo(AbstractAnswer):
         return len(self.values)
 
     @property
-    def doubts(self) -> tuple[str, ...]:
+    def accuracy_warnings(self) -> tuple[str, ...]:
         """A sentence for each response whose mean is off by more than is promised, as replicas
         tell; for replicas that failed; and for what is off in all samples alike."""
-        return self.doubts_of(*self.problem.response_names)
+        return self.accuracy_warnings_of(*self.problem.response_names)
 
-    def doubts_of(self, *responses: str) -> tuple[str, ...]:
-        """The `doubts` that concern these responses."""
-        doubts = () if self.replicas is None else self.replicas.doubts(self.problem, *responses)
-        return (*doubts, *self.problem.description.warnings)
+    def accuracy_warnings_of(self, *responses: str) -> tuple[str, ...]:
+        """The `accuracy_warnings` that concern these responses."""
+        replicas = self.replicas
+        messages = () if replicas is None else replicas.accuracy_warnings(self.problem, *responses)
+        return (*messages, *self.problem.description.warnings)
 
     def numerical_error(
         self, response: str, statistic: Callable[[np.ndarray], float] = np.mean
@@ -158,9 +163,9 @@ class MonteCarlo(AbstractAnswer):
         text = f"{text} ({in_words(counts)})." if counts else f"{text}."
         sentences = (
             text,
-            *self.doubts,
+            *self.accuracy_warnings,
             unverified(self.problem, self.replicas),
-            *endless_sentences(self.problem, self.responses),
+            *infinite_messages(self.problem, self.responses),
             self.unreached,
             self.problem.description.remark,
         )
@@ -217,7 +222,7 @@ class MonteCarlo(AbstractAnswer):
         self, function: Callable[..., float], response: str, grouped: bool = False
     ) -> Statistic:
         values, group = self.good(response)
-        refuse_endless(self.problem, {response: values}, "mean or deviation")
+        refuse_infinite(self.problem, {response: values}, "mean or deviation")
         return jackknifed(function, values, group, function is not np.mean, grouped)
 
     def mean(self, response: str) -> Statistic:
@@ -274,14 +279,14 @@ class MonteCarlo(AbstractAnswer):
         check_flags("tolerance_interval", normal=normal)
         kind, (values, group) = normal_interval if normal else free_interval, self.good(response)
         if normal:
-            refuse_endless(self.problem, {response: values}, "normal distribution")
+            refuse_infinite(self.problem, {response: values}, "normal distribution")
         return kind(values, group, content, confidence, side).in_unit(self._unit(response))
 
     def error_budget(self, response: str) -> dict[str, Statistic]:
         """What each variable contributes to the variance of a response [its unit squared], and the
         remainder that is not linear in them; the parts sum to the variance."""
         responses, group = self.good(response)
-        refuse_endless(self.problem, {response: responses}, "variance")
+        refuse_infinite(self.problem, {response: responses}, "variance")
         values = np.delete(self.values, self.failed, axis=0)
         unit = self._unit(response)
         squared = f"{unit if unit.isalnum() else f'({unit})'}^2" if unit != "1" else unit

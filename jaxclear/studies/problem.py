@@ -215,7 +215,7 @@ class Problem(AbstractQuantified):
         JAX may map, compile and differentiate it. A derivative through contacts that open and close
         is not that of the motion, and raises `ValueError`. Other derivatives of runs are compared
         with those in steps of other lengths or at a tighter tolerance, and nan where these tell an
-        error beyond a hundredth; `jaxclear.why_unknown` says why.
+        error beyond a hundredth; `jaxclear.explain_nan` says why.
 
         Args:
             values: one number for each variable, in their order, (variables,) [their units].

@@ -71,7 +71,7 @@ class Replicas(eqx.Module):
         95 % interval of that."""
         return bias_of(*self.pairs(response), self.share, statistic)
 
-    def doubts(self, problem: Problem, *responses: str) -> tuple[str, ...]:
+    def accuracy_warnings(self, problem: Problem, *responses: str) -> tuple[str, ...]:
         """A sentence for each of these responses whose mean is off by more than is promised, and
         one for replicas that failed."""
         doubts = [_beyond(problem, self, name) for name in responses]

@@ -32,14 +32,14 @@ from jaxclear.multibody.assembly import (
     sampled,
 )
 from jaxclear.multibody.assembly_modes import Nominal
+from jaxclear.multibody.length_scales import narrowest_gap, rooms
 from jaxclear.multibody.mechanism import Mechanism, loosened, with_redundancy
-from jaxclear.multibody.reach import narrowest_gap, rooms
 from jaxclear.multibody.state import lay_out
 from jaxclear.multibody.system import longest_arm, prepare, wear_maps
 from jaxclear.multibody.topology import Redundancy
 from jaxclear.native import has_kernels
 from jaxclear.native.compiled import compiled_for_kernels, compiled_quickly
-from jaxclear.results.response import concerned, needs_of, unit_of
+from jaxclear.results.response import depends_on, needs_of, unit_of
 from jaxclear.results.state_history import State
 from jaxclear.results.trajectory import Trajectory
 from jaxclear.simulation.derivatives import (
@@ -301,7 +301,7 @@ class RunExperiment(AbstractExperiment):
     def _response_info(self, name: str) -> ResponseInfo:
         response = self.response[name]
         unit = unit_of(response, self.mechanism)
-        concerns = frozenset(part for part in PARTS if concerned(response, part))
+        concerns = frozenset(part for part in PARTS if depends_on(response, part))
         if self.accuracy is not None:
             promise = allowed(self.accuracy, name)
         else:

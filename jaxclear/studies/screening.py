@@ -22,14 +22,14 @@ import numpy as np
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_count, check_flags
 from jaxclear.studies.answer import RESPONSE, VARIABLE, AbstractAnswer, Column, Stated
-from jaxclear.studies.endless import refuse_endless, successes
+from jaxclear.studies.infinite_responses import refuse_infinite, successes
 from jaxclear.studies.problem import Problem
+from jaxclear.studies.run_warnings import sentences_among
 from jaxclear.studies.sampling import all_values, check_sampled
 from jaxclear.studies.scrambling import normal_scores
 from jaxclear.studies.statistics.scrambled import Statistic, deviation, jackknifed
 from jaxclear.studies.store.batch import evaluate_all
 from jaxclear.studies.store.store import stored
-from jaxclear.studies.warned import sentences_among
 
 # Shares of the population [1] that a move goes through: their mean is that of Morris' steps.
 SHORTEST, LONGEST = 1 / 3, 2 / 3
@@ -109,7 +109,7 @@ def screening(
     shares = _trajectories(together, trajectories, seed)
     values = jnp.asarray(all_values(problem, normal_scores(shares)))
     result = evaluate_all(problem, values, progress_bar=progress_bar, label="screening")
-    refuse_endless(problem, result.responses, "elementary effect")
+    refuse_infinite(problem, result.responses, "elementary effect")
     columns = {name: np.asarray(result.responses[name], float) for name in problem.response_names}
     good, columns = successes(problem, result.outcome, columns)
     moves = np.diff(shares.reshape(trajectories, -1, shares.shape[1]), axis=1)

@@ -6,8 +6,8 @@ from typing import Any
 import jax
 import numpy as np
 
-from jaxclear.studies.endless import INSTEAD
 from jaxclear.studies.experiment import SampleResult
+from jaxclear.studies.infinite_responses import INSTEAD
 from jaxclear.studies.problem import Problem
 from jaxclear.studies.sampling import Drawing
 from jaxclear.studies.statistics.accuracy import Goals, Piece, missed_accuracies, unreached

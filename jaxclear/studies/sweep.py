@@ -15,11 +15,11 @@ from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_flags, check_name, expect
 from jaxclear.ground.wording import described
 from jaxclear.studies.answer import AbstractAnswer, Column, Stated
-from jaxclear.studies.endless import successes, why_unanswered
+from jaxclear.studies.infinite_responses import successes, why_unanswered
 from jaxclear.studies.problem import Problem
+from jaxclear.studies.run_warnings import sentences_among
 from jaxclear.studies.store.batch import evaluate_all
 from jaxclear.studies.store.store import stored
-from jaxclear.studies.warned import sentences_among
 
 
 class Sweep(AbstractAnswer):

@@ -29,13 +29,13 @@ from jaxclear.integrators import Outcome
 from jaxclear.integrators.checks import Checks
 from jaxclear.studies.answer import RESPONSE, TABLE, VARIABLE, AbstractAnswer, Column, Stated
 from jaxclear.studies.distribution.base import END_SCORE
-from jaxclear.studies.endless import replace_infinite, successes, why_unanswered
+from jaxclear.studies.infinite_responses import replace_infinite, successes, why_unanswered
 from jaxclear.studies.problem import Problem
+from jaxclear.studies.run_warnings import by_kind, codes_of, concerning
 from jaxclear.studies.sampling import check_sampled
 from jaxclear.studies.scrambling import scrambled_shares
 from jaxclear.studies.store.batch import evaluate_all
 from jaxclear.studies.store.store import stored
-from jaxclear.studies.warned import by_kind, codes_of, concerning
 
 # Points from which each extreme is climbed to, the corner of the slopes apart.
 STARTS = 4

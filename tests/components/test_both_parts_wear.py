@@ -53,7 +53,7 @@ def turning(joint, upside_down=False):
 
 
 def run(rig, rung):
-    state = jc.seated(rig) if rung != "permanent" else None
+    state = jc.resting_state(rig) if rung != "permanent" else None
     return jc.simulate(rig, DURATION, save=SAVES, integrator=RUNGS[rung], state=state)
 
 

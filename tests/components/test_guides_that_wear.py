@@ -60,7 +60,7 @@ def to_and_fro(joint, load=LOAD, start=AMPLITUDE, speed=0.0):
 
 
 def run(rig, rung="permanent", **given):
-    state = None if rung == "permanent" else jc.seated(rig)
+    state = None if rung == "permanent" else jc.resting_state(rig)
     given = {"save": SAVES, "integrator": RUNGS[rung], "state": state} | given
     return jc.simulate(rig, DURATION, **given)
 

@@ -132,7 +132,7 @@ def test_a_slowly_pushed_journal_runs_along_its_lobed_bore(rung):
         "compliant": (jc.integrator.FixedStep(1e-5, "semi_implicit"), 2.2e-7),
     }
     integrator, within = kinds[rung]
-    state = jc.seated(rig) if rung == "compliant" else None
+    state = jc.resting_state(rig) if rung == "compliant" else None
     run = jc.simulate(rig, 1.0, save=41, integrator=integrator, state=state)
     assert run.succeeded
     # That of permanent contact is a mean since the save before.

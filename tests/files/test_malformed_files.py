@@ -295,16 +295,3 @@ def test_what_is_no_file_is_named(tmp_path):
     (tmp_path / "scene.yaml").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(ValueError, match="is no text in UTF-8"):
         jc.read_scene(tmp_path / "scene.yaml")
-
-
-def test_old_names_of_classes_are_read_with_a_warning(tmp_path):
-    path = tmp_path / "old.yaml"
-    rig = jc.Mechanism(
-        {"a": jc.Body(1.0, 1.0)},
-        {"A": jc.Connection(jc.joint.Revolute(jc.drive.ConstantPosition(0.5)), "ground", "a")},
-    )
-    jc.write_scene(rig, path)
-    path.write_text(path.read_text().replace("ConstantPosition", "Held"))
-    with pytest.warns(FutureWarning, match=r"drive\.Held is called jaxclear\.drive\.ConstantPos"):
-        again = jc.read_scene(path).mechanism
-    assert str(again) == str(rig)

@@ -262,7 +262,7 @@ def test_dry_friction_of_a_sliding_hinge_is_that_of_mujoco(tmp_path):
     for speed in (-3.0, 1.0, 4.0):
         data.qvel[0] = speed
         mujoco.mj_forward(model, data)
-        yielding = (np.sign(speed) * float(friction.states()[0].most),)
+        yielding = (np.sign(speed) * float(friction.states()[0].saturation),)
         ours = friction.effect(0.0, (0.0,), (speed,), yielding).forces[0] / inertia
         np.testing.assert_allclose(float(ours), data.qacc[0], rtol=1e-9)
 

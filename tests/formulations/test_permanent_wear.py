@@ -78,7 +78,7 @@ def test_a_loaded_bearing_wears_as_deep_as_its_contact_law_lets_it_sink(kind, la
     rig = turning(kind, law=law, load=load, bearing_wear=True)
     asked = {"duration": 0.1, "save": 101}
     rigid = jc.simulate(rig, integrator=jc.integrator.NonColliding(1e-3), **asked)
-    seated = jc.seated(rig)
+    seated = jc.resting_state(rig)
     compliant = jc.simulate(
         rig, integrator=jc.integrator.Adaptive(rtol=1e-8, atol=1e-11), state=seated, **asked
     )
@@ -130,7 +130,7 @@ def test_rigid_contact_wears_as_deep_as_its_contact_law_lets_it_sink():
     rig = turning(
         jc.clearance.PlanarJournalBearing, law=hertz(SOFT), load=2000.0, bearing_wear=True
     )
-    asked = {"duration": 0.02, "save": 41, "state": jc.seated(rig)}
+    asked = {"duration": 0.02, "save": 41, "state": jc.resting_state(rig)}
     runs = [
         jc.simulate(rig, integrator=one, **asked)
         for one in (jc.integrator.MoreauJean(1e-4), jc.integrator.Adaptive(rtol=1e-8, atol=1e-11))

@@ -80,7 +80,7 @@ def test_derivatives_go_by_the_friction_of_a_clutch(kind):
     if kind == "adaptive":
         np.testing.assert_allclose(slope(presliding=1e-4), wanted, rtol=1e-3)
         if np.isnan(usual):
-            assert jc.why_unknown(usual)
+            assert jc.explain_nan(usual)
             return
     np.testing.assert_allclose(usual, wanted, rtol=1e-3)
 

@@ -171,7 +171,7 @@ def test_derivatives_are_those_of_differences_or_steps_decide_them(name):
     assert both.mean() > 0.6 and known[both].all()
     np.testing.assert_allclose(backwards[both], forwards[both], atol=1e-12 * scale)
     for derivatives in (forwards, backwards):
-        assert jc.why_unknown(derivatives).startswith("In steps of another length")
+        assert jc.explain_nan(derivatives).startswith("In steps of another length")
 
 
 def rattling(contact, friction):

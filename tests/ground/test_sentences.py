@@ -129,18 +129,18 @@ def answer(x):
 def test_a_reason_is_handed_on(way):
     found = jax.jit(way(lambda x: by_columns(answer, x)))(1.0)
     sentence = Unknown.GROWN.sentence
-    assert jc.why_unknown({"slope": found}) == sentence[0].upper() + sentence[1:]
+    assert jc.explain_nan({"slope": found}) == sentence[0].upper() + sentence[1:]
 
 
 def test_of_numbers_there_is_none():
-    assert jc.why_unknown([1.0, np.arange(3), np.inf]) == ""
+    assert jc.explain_nan([1.0, np.arange(3), np.inf]) == ""
 
 
 @pytest.mark.parametrize("nan", [np.nan, -np.nan])
 def test_of_any_other_nan_nothing_else_is_said(nan):
-    assert jc.why_unknown(np.array([1.0, nan])).startswith("It is not a number")
+    assert jc.explain_nan(np.array([1.0, nan])).startswith("It is not a number")
 
 
 def test_each_reason_is_said_once():
     both = [each.number for each in (Unknown.PARTED, Unknown.GROWN, Unknown.PARTED)]
-    assert jc.why_unknown(np.array(both)).count("take") == 2
+    assert jc.explain_nan(np.array(both)).count("take") == 2

@@ -42,7 +42,7 @@ def closed_form(stiffness, end=1.0):
 
 def test_at_rest_it_is_no_number_where_the_motion_alone_controls_steps():
     found = derivative(1e4, 0.0, solver=jc.integrator.MuntheKaas(4))
-    assert jc.why_unknown(found).startswith("In steps of another length")
+    assert jc.explain_nan(found).startswith("In steps of another length")
 
 
 @pytest.mark.parametrize("stiffness", [1e4, 1e6])
@@ -79,7 +79,7 @@ def test_of_steps_too_long_for_a_spring_it_is_no_number(name):
     assert short == pytest.approx(wanted, rel=1e-2)
     for angle in (2.9, 4.0):
         found = derivative((angle / step) ** 2, 0.0, RUNGS[name](step), 0.1)
-        assert jc.why_unknown(found).startswith("In steps of another length")
+        assert jc.explain_nan(found).startswith("In steps of another length")
 
 
 def resting(angle, steps):

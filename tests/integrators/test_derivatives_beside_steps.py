@@ -63,7 +63,7 @@ def test_a_lossless_bounce_has_the_derivatives_of_its_closed_form():
         np.testing.assert_allclose(slopes(step, 1.0), wanted, rtol=2e-3)
     # By itself, or in the steps twice as long that it is compared with.
     for step in (1e-3, 4e-4):
-        assert "3 % of the narrowest gap" in jc.why_unknown(slopes(step, 0.95))
+        assert "3 % of the narrowest gap" in jc.explain_nan(slopes(step, 0.95))
 
 
 @pytest.mark.parametrize("method", [pytest.param("heun", marks=pytest.mark.slow), "semi_implicit"])
@@ -140,7 +140,7 @@ def test_a_journal_at_rest_lies_lower_by_what_its_clearance_is_larger(stiffness)
     rig = bouncing(contact)
     rig = jc.Mechanism(rig.bodies, rig.connections, DOWN)
     asked = problem(rig, "journal", 1, (CLEARANCE,), jc.integrator.ImplicitStep(1e-4))
-    asked = eqx.tree_at(lambda own: own.state, asked, jc.seated(rig))
+    asked = eqx.tree_at(lambda own: own.state, asked, jc.resting_state(rig))
     slope = jax.jit(jax.jacfwd(lambda v: 1e-3 * answer(asked, v, 0.01)))(asked.nominal())[0]
     if stiffness > 1e12:
         assert np.isnan(slope)

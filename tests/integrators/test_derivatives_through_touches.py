@@ -203,7 +203,7 @@ def test_in_equal_steps_a_lossless_bounce_has_the_derivative_of_its_closed_form(
     np.testing.assert_allclose(found, wanted, rtol=2e-3)
     none = slopes(asked.nominal().at[2].set(2.5e5**2))
     assert np.all(np.isnan(none))
-    assert jc.why_unknown(none).startswith("The run ended before the instant")
+    assert jc.explain_nan(none).startswith("The run ended before the instant")
 
 
 @pytest.mark.slow
@@ -325,7 +325,7 @@ def test_a_journal_at_rest_has_its_derivative_though_its_steps_grow_beyond_its_p
         duration=0.02,
         save=2,
         integrator=jc.integrator.Adaptive(),
-        state=jc.seated(rig),
+        state=jc.resting_state(rig),
     )
     evaluate = lambda values: asked.evaluate(values).responses["response"]
     slope = jax.jit(jax.jacfwd(evaluate))(asked.nominal())[0]

@@ -70,7 +70,7 @@ def test_what_rests_on_a_contact_is_pressed_by_its_weight_at_every_saving_time(c
     law = jc.contact.HuntCrossley(stiffness=1e10, restitution=0.3)
     rig = held_journal(law, clearance, loads=PRESSED)
     steps = jc.integrator.ImplicitStep(step)
-    run = jc.simulate(rig, 0.02, save=21, integrator=steps, state=jc.seated(rig))
+    run = jc.simulate(rig, 0.02, save=21, integrator=steps, state=jc.resting_state(rig))
     forces = np.asarray(run.contact("B").normal_force)[1:, 0]
     # At its start it swings by what a step of the stiffness of the contact leaves.
     np.testing.assert_allclose(forces, 300.0, rtol=2e-2)
@@ -89,7 +89,7 @@ def test_a_run_goes_on_in_steps_of_another_length_as_it_rests(step):
     rig = held_journal(law, loads=PRESSED)
     times = np.concatenate([np.linspace(0.0, 0.01, 11), 0.01 + np.cumsum([3.7e-5, 2e-4, 1e-5])])
     steps = jc.integrator.ImplicitStep(step)
-    run = jc.simulate(rig, times[-1], save=times, integrator=steps, state=jc.seated(rig))
+    run = jc.simulate(rig, times[-1], save=times, integrator=steps, state=jc.resting_state(rig))
     np.testing.assert_allclose(run.contact("B").normal_force[6:, 0], 300.0, rtol=1e-4)
 
 

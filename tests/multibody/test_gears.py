@@ -279,7 +279,7 @@ def test_a_seated_bearing_holds_what_the_teeth_press():
         {"m": jc.load.JointTorque("A", DRIVING), "l": jc.load.JointTorque("B", DRIVING * RATIO)},
         couplings={"mesh": jc.coupling.Gear("A", "B", RATIO, pressure_angle=-TEETH)},
     )
-    run = jc.simulate(rig, 1e-5, save=2, state=jc.seated(rig))
+    run = jc.simulate(rig, 1e-5, save=2, state=jc.resting_state(rig))
     pressed = DRIVING / (R_A * np.cos(TEETH))
     np.testing.assert_allclose(np.linalg.norm(run.contact("B").force[0]), pressed, rtol=0.02)
 

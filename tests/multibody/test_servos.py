@@ -210,7 +210,7 @@ def test_slopes_behind_a_limited_integral_are_nan_and_say_why():
         return run.coordinate("A")[-1]
 
     slope = jax.jacfwd(end)(40.0)
-    assert jnp.isnan(slope) and "torque limit" in jc.why_unknown(slope)
+    assert jnp.isnan(slope) and "torque limit" in jc.explain_nan(slope)
 
 
 def test_a_sampled_servo_that_is_unstable_says_so():

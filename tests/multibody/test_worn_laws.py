@@ -103,7 +103,7 @@ def test_a_ball_rests_where_the_worn_radius_carries_its_load(name):
         {"S": {"socket": np.full((12, 12), WORN)}},
     )
     mechanism = rig(ball(True), load)
-    state = jc.seated(mechanism, worn)
+    state = jc.resting_state(mechanism, worn)
     run = jc.simulate(mechanism, 2e-4, save=21, integrator=INTEGRATORS[name], state=state)
     depth = np.asarray(run.contact("S").indentation).ravel()
     np.testing.assert_allclose(depth, SUNK, rtol=1e-4)
@@ -146,7 +146,7 @@ def test_peaks_of_a_ball_are_those_of_the_law_as_worn():
     """A ball at rest whose load grows by a thirtieth: by the law as made it would press a third
     harder."""
     worn = {"S": {"socket": np.full((12, 12), CLEARANCE)}}
-    state = jc.seated(rig(ball(True), 600.0), worn)
+    state = jc.resting_state(rig(ball(True), 600.0), worn)
     run = jc.simulate(
         rig(ball(True), 620.0),
         2e-4,

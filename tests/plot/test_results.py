@@ -35,7 +35,7 @@ def problem(function=stack):
 def sized():
     """A design whose limit is known: the two tolerances add up to 50 um."""
     costs = {"a": jc.cost.Reciprocal(1e-4), "b": jc.cost.Reciprocal(2e-4)}
-    limit = jc.limit.WorstCase("sum", at_most=3.05e-3)
+    limit = jc.limit.WorstCase("sum", at_max_cycles=3.05e-3)
     return jc.design(problem(), costs, limit, tolerance={"a": (1e-6, 1e-4), "b": (1e-6, 1e-4)})
 
 
@@ -63,7 +63,9 @@ STUDIES = {
     "SobolIndices": lambda folder: jc.sobol_indices(problem(), 64),
     "ShapleyEffects": lambda folder: jc.shapley_effects(problem(), 64),
     "ResponseSurface": lambda folder: jc.surface(problem()),
-    "Corrected": lambda folder: jc.corrected(jc.surface(problem()), 8, limits={"long": TOO_LONG}),
+    "CorrectedStatistics": lambda folder: jc.corrected_statistics(
+        jc.surface(problem()), 8, limits={"long": TOO_LONG}
+    ),
     "Reliability": lambda folder: jc.reliability(problem(), TOO_LONG),
     "Design": lambda folder: sized(),
     "Largest": lambda folder: answered(),
@@ -79,9 +81,17 @@ def results(tmp_path_factory):
 
 
 # Kinds that take a run or a life to have: the slow suite.
-LONG = {"Corrected", "ShapleyEffects", "Reliability", "Design", "MultiFidelity"}
+LONG = {"CorrectedStatistics", "ShapleyEffects", "Reliability", "Design", "MultiFidelity"}
 EACH = [pytest.param(kind, marks=[pytest.mark.slow] * (kind in LONG)) for kind in STUDIES]
-OF_RUNS = ["Trajectory", "PointingError", "Positions", "Settled", "WearLife", "WearLives", "Advice"]
+OF_RUNS = [
+    "Trajectory",
+    "PointingError",
+    "Positions",
+    "SteadyCycle",
+    "WearLife",
+    "WearLifeSample",
+    "Advice",
+]
 
 
 def kinds():
@@ -219,9 +229,9 @@ def test_a_result_of_runs_is_drawn_and_kept(run, kind, tmp_path):
         "Trajectory": lambda: run,
         "PointingError": lambda: jc.pointing_error(run, "slider", through=("A", "B")),
         "Positions": lambda: jc.positions(asked.mechanism, {"O": jnp.linspace(0.1, 1.0, 5)}),
-        "Settled": lambda: jc.settled(asked, cycles=3),
-        "WearLife": lambda: jc.wear_life(asked, cycles=1e3, most=3),
-        "WearLives": lambda: jc.wear_lives(asked, 2, cycles=1e3, most=3),
+        "SteadyCycle": lambda: jc.steady_cycle(asked, cycles=3),
+        "WearLife": lambda: jc.wear_life(asked, cycles=1e3, max_cycles=3),
+        "WearLifeSample": lambda: jc.wear_life_sample(asked, 2, cycles=1e3, max_cycles=3),
         "Advice": lambda: jc.advise(asked, 0.05, pilot=jc.PilotSettings(copies=2)),
     }[kind]()
     assert type(found).__name__ == kind

@@ -26,8 +26,8 @@ from jaxclear.statics.positions import Positions
 from jaxclear.studies.advice import Advice
 from jaxclear.studies.design.result import Design
 from jaxclear.studies.life.result import WearLife
-from jaxclear.studies.life.settled import Settled
-from jaxclear.studies.life.wear_life import WearLives
+from jaxclear.studies.life.steady_cycle import SteadyCycle
+from jaxclear.studies.life.wear_life import WearLifeSample
 from jaxclear.studies.sensitivity.derivative import Derivative, Estimate, Sensitivity
 from tests.plot.identified import identified
 
@@ -143,7 +143,7 @@ def life(sizes=1e-12, warnings=(LONG,)):
         ended="the journal's wall is worn through.",
         warnings=warnings,
         stages=[stage] * 5,
-        concerned=lambda _: True,
+        is_affected=lambda _: True,
     )
 
 
@@ -152,7 +152,7 @@ def lives():
         "2 lives, 0 ended early, 2 with warnings. Depths are 3e-12 to 1.2e-05 m, known to 1.2 % or "
     )
     told += "better."
-    return mock.Mock(spec=WearLives, lives=(life(), life(3e-12)), sentence=lambda: told)
+    return mock.Mock(spec=WearLifeSample, lives=(life(), life(3e-12)), sentence=lambda: told)
 
 
 def settled():
@@ -167,8 +167,8 @@ def settled():
     )
     told = f'Periodic after 3 cycles of 0.125664 s: "{JOINT}" is 1e-12 from where it was.'
     return mock.Mock(
-        spec=Settled, table=lambda: table, problem=problem(), tolerance=1e-9, warnings=(LONG,) * 9,
-        sentence=lambda: told,
+        spec=SteadyCycle, table=lambda: table, problem=problem(), tolerance=1e-9, warnings=(LONG,) *
+        9, sentence=lambda: told,
     )  # fmt: skip
 
 
@@ -282,8 +282,10 @@ CASES = {
     "bifurcation": [
         lambda: plot.bifurcation({2e-4: run(), 2.1e-4: run()}, SLIDER, period=PERIOD),
     ],
-    "corrected": [
-        lambda: plot.corrected(jc.corrected(jc.surface(problem()), 8, limits={"sunk": SUNK}))
+    "corrected_statistics": [
+        lambda: plot.corrected_statistics(
+            jc.corrected_statistics(jc.surface(problem()), 8, limits={"sunk": SUNK})
+        )
     ],
     "design": [lambda: plot.design(designed())],
     "largest": [
@@ -296,7 +298,7 @@ CASES = {
             )
         )
     ],
-    "design_front": [lambda: plot.design_front([designed(), designed(2.0)])],
+    "pareto_front": [lambda: plot.pareto_front([designed(), designed(2.0)])],
     "displacement": [
         lambda: plot.displacement(
             {f"clearance {k} of {JOINT}": run() for k in range(5)}, run(), SLIDER
@@ -338,7 +340,7 @@ CASES = {
         lambda: plot.sensitivity(derivatives(VERDICT)),
         lambda: plot.sensitivity(derivatives(VERDICT + LONG + ". " + LONG + ". ")),
     ],
-    "settled": [lambda: plot.settled(settled())],
+    "steady_cycle": [lambda: plot.steady_cycle(settled())],
     "shapley_effects": [lambda: plot.shapley_effects(jc.shapley_effects(problem(), 64))],
     "screening": [lambda: plot.screening(jc.screening(problem(), 4))],
     "sobol_indices": [lambda: plot.sobol_indices(jc.sobol_indices(problem(), 64))],
@@ -354,7 +356,7 @@ CASES = {
         ),
     ],
     "wear_life": [lambda: plot.wear_life(life())],
-    "wear_lives": [lambda: plot.wear_lives(lives())],
+    "wear_life_sample": [lambda: plot.wear_life_sample(lives())],
     "wear_surface": [
         lambda: plot.wear_surface(run(), JOINT),
         lambda: plot.wear_surface(run(), JOINT, exaggeration=1.0),

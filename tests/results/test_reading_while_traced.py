@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
-from jaxclear.ground.outcome import why_unknown
+from jaxclear.ground.outcome import explain_nan
 
 LAW = jc.contact.CarvalhoMartins(stiffness=1e8, restitution=0.8)
 
@@ -177,7 +177,7 @@ def test_a_run_that_ends_early_has_no_derivative_beyond_and_says_why(derivative)
         return run.coordinate("G")[row]
 
     slope = derivative(lambda rod: slid(rod, -1))(0.2)
-    assert np.isnan(slope) and "its result says why" in why_unknown(slope)
+    assert np.isnan(slope) and "its result says why" in explain_nan(slope)
     assert all("dead point" in text for texts in said for text in texts)
     assert np.isfinite(derivative(lambda rod: slid(rod, 1))(0.2))
     with pytest.raises(jc.SimulationError, match="dead point"):

@@ -37,7 +37,7 @@ def pressed(friction, torque=0.0, speed=0.0, inertia=1e-3):
 
 
 def figure(rig, integrator, check=Check.COULOMB_FRICTION, duration=0.01):
-    state = None if isinstance(integrator, jc.integrator.NonColliding) else jc.seated(rig)
+    state = None if isinstance(integrator, jc.integrator.NonColliding) else jc.resting_state(rig)
     run = jc.simulate(
         rig, duration, integrator=integrator, state=state, save=101, balance=True, throw=False
     )

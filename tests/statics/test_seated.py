@@ -45,7 +45,7 @@ def test_a_seated_journal_carries_its_reaction_from_the_first_instant_on():
     assert force > 100.0
     runs = [
         jc.simulate(rig, 1e-3, save=21, integrator=integrator, state=state).contact("A")
-        for state in (jc.seated(rig), None)
+        for state in (jc.resting_state(rig), None)
     ]
     # it rocks a little about its seat: the bearing gives way, which the ideal joint does not
     np.testing.assert_allclose(runs[0].normal_force[:, 0], force, rtol=0.03)
@@ -57,10 +57,10 @@ def test_a_seated_journal_carries_its_reaction_from_the_first_instant_on():
 def test_the_first_cycle_of_a_seated_start_wears_as_the_settled_one():
     """From the middle ten times as far from it."""
     rig = slider_crank()
-    problem = lambda state: jc.settled(rig, TURN, state=state, cycles=8, throw=False)
+    problem = lambda state: jc.steady_cycle(rig, TURN, state=state, cycles=8, throw=False)
     lost = [
         [float(one.volumes["A"]["bearing"]) for one in problem(state).settling.cycles]
-        for state in (None, jc.seated(rig))
+        for state in (None, jc.resting_state(rig))
     ]
     settled = np.mean([own[-1] for own in lost])
     fallen, seated = (abs(own[0] / settled - 1) for own in lost)
@@ -71,7 +71,7 @@ def test_the_first_cycle_of_a_seated_start_wears_as_the_settled_one():
 def test_a_journal_in_a_worn_hole_is_seated_on_its_wall():
     rig = slider_crank()
     deep = {"A": {"bearing": np.full((36, 1), 5e-5)}}
-    new, worn = (jc.seated(rig, worn) for worn in (None, deep))
+    new, worn = (jc.resting_state(rig, worn) for worn in (None, deep))
     away = [
         np.linalg.norm(jc.simulate(rig, 1e-6, save=2, state=one).contact("A").offset[0])
         for one in (new, worn)
@@ -86,7 +86,7 @@ def test_a_mechanism_without_play_is_seated_as_it_starts():
         rig.connections | {"A": jc.Connection(jc.joint.Revolute(), *_ends(rig, "A"))},
         rig.loads,
     )
-    assert jc.seated(ideal).motion is None
+    assert jc.resting_state(ideal).motion is None
 
 
 def _ends(rig, name):
@@ -101,7 +101,7 @@ def test_journals_that_their_loops_hold_back_rest_together():
     instant = {"save": 2, "integrator": jc.integrator.NonColliding(1e-7)}
     wanted = np.asarray(jc.simulate(rig, 1e-7, **instant).reaction("B").force[0])
     fine = jc.integrator.Adaptive(rtol=1e-8, atol=1e-11)
-    run = jc.simulate(rig, 1e-3, save=21, integrator=fine, state=jc.seated(rig))
+    run = jc.simulate(rig, 1e-3, save=21, integrator=fine, state=jc.resting_state(rig))
     found = np.asarray(run.reaction("B").force)
     # its speeds are those of the journal in the middle: dampers act a little
     np.testing.assert_allclose(found[0, :2], wanted[:2], rtol=5e-2)
@@ -124,7 +124,7 @@ def test_where_a_journal_lies_is_not_taken_for_the_length_of_a_link():
     )
     with warnings.catch_warnings():
         warnings.simplefilter("error", jc.UnusualMagnitude)
-        jc.seated(rotor)
+        jc.resting_state(rotor)
 
 
 @pytest.mark.slow
@@ -152,7 +152,7 @@ def test_a_door_sags_by_the_play_of_its_hinges(friction):
     }
     door = {"door": jc.Body(20.0, (4.0, 5.0, 1.1), com=(width / 2, 0.0, height / 2))}
     rig = jc.Mechanism(door, hinges, {"g": jc.load.Gravity((0.0, 0.0, -9.81))})
-    run = jc.simulate(rig, 1e-3, save=3, state=jc.seated(rig))
+    run = jc.simulate(rig, 1e-3, save=3, state=jc.resting_state(rig))
     sag = -np.asarray(run.marker("door", (width, 0.0, 0.0)).position)[:, 2]
     # The hinges' ends give under the moment, the collar under the weight; its rim leans with them.
     weight = 20.0 * 9.81
@@ -183,7 +183,7 @@ def test_what_rests_on_its_contacts_has_no_forces_that_steps_could_change(fricti
     half the steps halve this was said to change all the forces there are."""
     rig = hung_door(friction)
     integrator = jc.integrator.ImplicitStep(1e-5)
-    run = jc.simulate(rig, 0.05, save=101, integrator=integrator, state=jc.seated(rig))
+    run = jc.simulate(rig, 0.05, save=101, integrator=integrator, state=jc.resting_state(rig))
     np.testing.assert_allclose(run.body("door").velocity, 0.0, atol=1e-9)
     assert run.warnings == ()
 
@@ -208,7 +208,7 @@ def test_a_mechanism_whose_numbers_jax_has_changed_is_seated_as_it_is():
     ends = [
         jc.simulate(one, 1e-4, save=3, integrator=jc.integrator.ImplicitStep(1e-5), state=state)
         for one in (rig, same)
-        for state in (jc.seated(one),)
+        for state in (jc.resting_state(one),)
     ]
     np.testing.assert_array_equal(ends[0].states, ends[1].states)
     assert float(ends[1].contact("Z").indentation.max()) < 1e-4

@@ -223,7 +223,7 @@ def test_what_cannot_be_kept_is_said():
 @pytest.mark.slow
 def test_a_front_falls_with_the_bound():
     bounds = [GAP + 20e-6, GAP + 30e-6, GAP + 40e-6]
-    found = jc.design_front(problem(), reciprocal(), MEAN, bounds, tolerance=WIDE)
+    found = jc.pareto_front(problem(), reciprocal(), MEAN, bounds, tolerance=WIDE)
     costs = np.array([one.cost for one in found])
     np.testing.assert_allclose(costs * [20, 30, 40], optimum(3)[1] * 30, rtol=1e-3)
 

@@ -15,8 +15,8 @@ from jaxclear.integrators import Outcome
 from jaxclear.studies.design.question import Question, checked_limits, freedom_of
 from jaxclear.studies.design.runs import Runs
 from jaxclear.studies.design.verification import GROUPS, Verifier, _finite
-from jaxclear.studies.endless import replace_infinite, successes
 from jaxclear.studies.experiment import Cost, Description, ResponseInfo, SampleResult
+from jaxclear.studies.infinite_responses import replace_infinite, successes
 from jaxclear.studies.reliability.models import RunModel
 from jaxclear.studies.reliability.subset import subset
 from jaxclear.studies.statistics.scrambled import ordinary_quantile
@@ -225,7 +225,7 @@ def test_a_share_is_told_beside_lives_that_are_smaller_and_no_infinite_error_is_
     found[0, 3, 0] = np.inf
     verifier = Verifier(question_of(lasting, share, share), None, None, False)
     nothing = np.zeros((64, 1)), np.ones(64, bool), np.zeros(64, np.int64)
-    assert verifier._told(found, *nothing).errors.tolist() == [np.inf, 0.0]
+    assert verifier._make_check(found, *nothing).errors.tolist() == [np.inf, 0.0]
 
 
 class Median(jc.limit.Quantile):

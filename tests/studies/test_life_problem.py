@@ -260,7 +260,7 @@ def test_derivatives_of_the_mean_life_are_those_of_the_closed_form(asked):
 
 def test_a_campaign_of_lives_is_refused_with_what_serves(asked, tmp_path):
     """Before a file is written."""
-    with pytest.raises(ValueError, match=r"no compiled program.*monte_carlo.*wear_lives"):
+    with pytest.raises(ValueError, match=r"no compiled program.*monte_carlo.*wear_life_sample"):
         jc.campaign(asked, folder=tmp_path / "kept")
     assert not any(tmp_path.iterdir())
 

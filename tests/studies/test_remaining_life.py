@@ -7,8 +7,8 @@ import pytest
 import jaxclear as jc
 from jaxclear.studies.identification.result import Identified, Unknown
 from jaxclear.studies.identification.several_records import next_record
+from jaxclear.studies.identification.signal_answers import of_records
 from jaxclear.studies.identification.signal_fit import CredibleInterval
-from jaxclear.studies.identification.told import of_records
 from tests.plot.identified import identified
 
 PROBLEM = jc.FunctionProblem(

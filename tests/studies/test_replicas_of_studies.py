@@ -214,12 +214,14 @@ def long_steps():
 def test_what_is_off_beyond_the_promise_is_said(study):
     """Also in the verdict of a derivative, and below the figure."""
     found = jc.monte_carlo(long_steps(), CHUNK, chunk=CHUNK)
-    (said,) = found.doubts
+    (said,) = found.accuracy_warnings
     assert said.startswith('"way": the steps change its mean by -0.25 m, more than the tolerance')
     assert said in found.sentence() and said in str(found)
-    assert _warned_samples(found)[: len(found.doubts)] == as_warnings(found.doubts)
+    assert _warned_samples(found)[: len(found.accuracy_warnings)] == as_warnings(
+        found.accuracy_warnings
+    )
     assert max(len(part.split()) for part in re.split(r"[.;] ", said)) <= MOST_WORDS
-    assert study.doubts == ()
+    assert study.accuracy_warnings == ()
     answers = jc.sensitivity(found.problem, sample=found, difference_samples=8)
     assert said in answers.derivatives["way", "gravity"].verdict
     assert said not in answers.derivatives["saves", "gravity"].verdict
@@ -242,7 +244,7 @@ def test_replicas_that_fail_say_so_and_leave_the_study_alone():
         ),
     )
     broken = eqx.tree_at(lambda own: own.replicas, found, replicas)
-    (said,) = broken.doubts
+    (said,) = broken.accuracy_warnings
     assert said.startswith("2 of 16 replicas failed and tell nothing; of that of sample 3, the run")
     assert broken.numerical_error("way").replicas == 14
     assert broken.mean("way") == found.mean("way") and len(broken.failed) == 0
@@ -288,7 +290,7 @@ def test_where_paths_part_two_figures_stand_side_by_side():
     assert told.uncertainty > max(told.sampling, abs(told.bias))
     assert told.wanted == np.ceil(16 * (told.uncertainty / told.sampling) ** 2) > 16
     # Nobody is accused by chance.
-    assert found.doubts == ()
+    assert found.accuracy_warnings == ()
     said = (
         f"The error by the steps, {told.bias:.2g} ± {told.uncertainty:.2g} from 16 companion runs, "
         f"is not resolved; about {told.wanted:.0f} would resolve it."
@@ -303,7 +305,7 @@ def test_where_paths_part_two_figures_stand_side_by_side():
 
 def test_a_replica_that_fails_of_a_strangers_problem_is_named():
     found = jc.monte_carlo(parting(0.0, step=0.5), 4)
-    assert found.doubts == (
+    assert found.accuracy_warnings == (
         "4 of 4 replicas failed and tell nothing; of that of sample 0, it took too many steps.",
     )
     assert np.isinf(found.numerical_error("y").uncertainty) and len(found.failed) == 0
@@ -330,7 +332,10 @@ def test_a_campaign_keeps_its_replicas_and_adds_what_it_lacks(tmp_path, monkeypa
     for one in (whole, again, jc.open_campaign(tmp_path), jc.open_campaign(tmp_path, asked)):
         for name, told in plain.replicas.responses.items():
             np.testing.assert_allclose(one.sample.replicas.responses[name], told, rtol=1e-12)
-        assert one.sentence() == plain.sentence() and one.sample.doubts == plain.doubts
+        assert (
+            one.sentence() == plain.sentence()
+            and one.sample.accuracy_warnings == plain.accuracy_warnings
+        )
         np.testing.assert_allclose(one.numerical_error("way"), plain.numerical_error("way"))
         assert one.summary()["numerical error"][0] == pytest.approx(
             plain.summary()["numerical error"][0]

@@ -14,7 +14,7 @@ PERIOD = 2 * np.pi / 50
 
 @pytest.fixture(scope="module")
 def ring():
-    return jc.settled(problem(wearing_ring()), tolerance=1e-6)
+    return jc.steady_cycle(problem(wearing_ring()), tolerance=1e-6)
 
 
 def test_a_journal_that_falls_into_its_place_settles_there(ring):
@@ -33,7 +33,7 @@ def test_a_journal_that_falls_into_its_place_settles_there(ring):
 
 def test_a_run_goes_on_from_the_settled_cycle(ring):
     """On the surfaces on which that began, a turn later: the same once more."""
-    again = jc.settled(problem(wearing_ring(), state=ring.state), tolerance=1e-6)
+    again = jc.steady_cycle(problem(wearing_ring(), state=ring.state), tolerance=1e-6)
     assert again.cycles == 1
     assert float(again.run.time[0]) == pytest.approx(ring.cycles * TURN)
     np.testing.assert_allclose(again.wear["B"]["bearing"], ring.wear["B"]["bearing"], rtol=1e-9)
@@ -60,12 +60,12 @@ def test_table_tells_every_cycle(ring):
 
 def test_whole_turns_are_no_change_of_place():
     """The crank has turned once, and the rod against it; the second half of a turn is no period."""
-    found = jc.settled(slider_crank("ideal"), PERIOD, tolerance=1e-9)
+    found = jc.steady_cycle(slider_crank("ideal"), PERIOD, tolerance=1e-9)
     assert found.periodic and found.cycles == 1
     turned = found.run.coordinate("A")
     assert abs(float(turned[-1] - turned[0])) == pytest.approx(2 * np.pi)
     with pytest.raises(ValueError, match=r'joint "O" moves it by 6\.25 rad in a period of 0\.125'):
-        jc.settled(slider_crank("ideal"), 0.125, cycles=2)
+        jc.steady_cycle(slider_crank("ideal"), 0.125, cycles=2)
 
 
 def test_a_period_of_several_cycles_is_said():
@@ -73,7 +73,7 @@ def test_a_period_of_several_cycles_is_said():
     with pytest.warns(
         UserWarning, match=r"repeat after 0\.05 s already, 20 times in the period of"
     ):
-        jc.settled(wearing_ring(), 1.0, cycles=1, throw=False)
+        jc.steady_cycle(wearing_ring(), 1.0, cycles=1, throw=False)
 
 
 @pytest.mark.slow
@@ -81,10 +81,10 @@ def test_chaotic_motion_is_known_by_means():
     """A journal that rattles ends no cycle as it began it. Two halves of many cycles have means
     that agree within what their noise says."""
     rig = slider_crank(clearance=1e-3, wear=True)
-    found = jc.settled(rig, PERIOD, cycles=40)
+    found = jc.steady_cycle(rig, PERIOD, cycles=40)
     assert not found.periodic and found.settling.measured == 20
     assert "Not periodic after 40 cycles" in found.sentence() and "20 cycles" in found.sentence()
-    other = jc.settled(rig, PERIOD, cycles=40, state=found.state)
+    other = jc.steady_cycle(rig, PERIOD, cycles=40, state=found.state)
     for name, (mean, error) in found.responses.items():
         theirs, own = other.responses[name]
         assert 0 < error < mean, name
@@ -107,21 +107,27 @@ def test_a_cycle_that_fails_says_so():
     """A step far too long for the contact."""
     rig = wearing_ring()
     bad = eqx.tree_at(lambda p: p.integrator.step, problem(rig), np.asarray(2e-3))
-    found = jc.settled(bad, throw=False)
+    found = jc.steady_cycle(bad, throw=False)
     assert not found.periodic and found.sentence().startswith("Cycle 1: the run of a cycle ended")
     with pytest.raises(jc.SimulationError, match="the run of a cycle ended early"):
-        jc.settled(bad)
+        jc.steady_cycle(bad)
 
 
 @pytest.mark.parametrize(
     ("asked", "sentence"),
     [
-        (lambda: jc.settled(wearing_ring()), r"needs its period \[s\]"),
-        (lambda: jc.settled(problem(wearing_ring()), 0.05), "given a Problem, whose duration"),
-        (lambda: jc.settled("ring", 0.05), "must be a Mechanism or a Problem"),
-        (lambda: jc.settled(wearing_ring(), 0.05, cycles=0), "cycles of settled is 0"),
-        (lambda: jc.settled(wearing_ring(), 1e5 + 0.02), r"A turn of it takes 0\.05 s; cycles are"),
-        (lambda: jc.settled(wearing_ring(), 0.05, tolerance=-1), "tolerance of settled is -1"),
+        (lambda: jc.steady_cycle(wearing_ring()), r"needs its period \[s\]"),
+        (lambda: jc.steady_cycle(problem(wearing_ring()), 0.05), "given a Problem, whose duration"),
+        (lambda: jc.steady_cycle("ring", 0.05), "must be a Mechanism or a Problem"),
+        (lambda: jc.steady_cycle(wearing_ring(), 0.05, cycles=0), "cycles of steady_cycle is 0"),
+        (
+            lambda: jc.steady_cycle(wearing_ring(), 1e5 + 0.02),
+            r"A turn of it takes 0\.05 s; cycles are",
+        ),
+        (
+            lambda: jc.steady_cycle(wearing_ring(), 0.05, tolerance=-1),
+            "tolerance of steady_cycle is -1",
+        ),
     ],
 )
 def test_what_cannot_be_asked_is_refused(asked, sentence):

@@ -239,7 +239,9 @@ STUDIES = {
     "sobol_indices": lambda **how: jc.sobol_indices(rough(), 16, **how),
     "shapley_effects": lambda **how: jc.shapley_effects(rough(), 32, **how),
     "surface": lambda **how: jc.surface(rough(), 32, slopes=True, **how),
-    "corrected": lambda **how: jc.corrected(jc.surface(rough(), 32), 8, **how),
+    "corrected_statistics": lambda **how: jc.corrected_statistics(
+        jc.surface(rough(), 32), 8, **how
+    ),
     "multi_fidelity": lambda **how: jc.multi_fidelity(rough(), rough(0.9), 256, **how),
     "reliability": lambda **how: jc.reliability(
         rough(), jc.limit_state.Above("response", 9.0), most_runs=400, **how
@@ -266,7 +268,7 @@ def test_every_study_takes_what_it_asks_from_its_store(name, tmp_path, computed)
     computed.clear()
     again = STUDIES[name](store=tmp_path)
     # The surface that is corrected has no store here.
-    assert len(computed) == (2 if name == "corrected" else 0)
+    assert len(computed) == (2 if name == "corrected_statistics" else 0)
     assert str(again) == str(kept)
     if name != "multi_fidelity":
         assert str(plain) == str(kept), "of several models: costs are measured anew"

@@ -142,7 +142,7 @@ def test_corrected_intervals_hold_the_closed_form():
     surface, held = jc.surface(problem, degree=2), np.zeros(3)
     limit = {"big": jc.limit_state.Above("q", 10.0)}
     for seed in range(40):
-        found = jc.corrected(surface, 16, seed=seed, limits=limit)
+        found = jc.corrected_statistics(surface, 16, seed=seed, limits=limit)
         one, rare = found.means["q"], found.probabilities["big"]
         spread = found.deviations["q"]
         held += (

@@ -18,9 +18,8 @@ from jaxclear import plot
 from jaxclear.commands.study import report_samples
 from jaxclear.integrators.checks import Check, Checks, Figure
 from jaxclear.plot.studies import _warned_samples
-from jaxclear.results.response import REACHES, concerned
-from jaxclear.studies.sensitivity.derivative import Estimate, confirmed
-from jaxclear.studies.warned import (
+from jaxclear.results.response import REACHES, depends_on
+from jaxclear.studies.run_warnings import (
     codes_of,
     concern,
     concerning,
@@ -28,6 +27,7 @@ from jaxclear.studies.warned import (
     in_words,
     sentences,
 )
+from jaxclear.studies.sensitivity.derivative import Estimate, confirmed
 
 
 def loosely_closed():
@@ -104,7 +104,7 @@ def test_a_response_is_in_doubt_where_a_warning_concerns_it():
         "worn depth": (False, False, False, True, False, True),
         "places in gaps": (False, False, True, True, False, True),
     }.items():
-        found = tuple(concerned(r, concerns) for r in (position, peak, wear, depth, mean, plain))
+        found = tuple(depends_on(r, concerns) for r in (position, peak, wear, depth, mean, plain))
         assert found == wanted, concerns
     assert {check.concerns for check in Check} <= set(REACHES)
 
@@ -121,10 +121,10 @@ def test_a_failed_sample_is_not_counted_twice(study):
     found = jc.monte_carlo(fast, 64)
     torn = np.flatnonzero(found.outcome == jc.integrator.Outcome.LOOP_TORN)
     assert 0 < len(torn) < 64 and set(torn) <= set(found.failed)
-    assert not set(found.warned) & set(torn) and len(found.concerned("slider")) > 0
+    assert not set(found.warned) & set(torn) and len(found.affected_samples("slider")) > 0
     assert "A loop came open" in found.failures()[int(torn[0])]
     with pytest.raises(ValueError, match='no response "force" in this study'):
-        found.concerned("force")
+        found.affected_samples("force")
 
 
 def test_a_derivative_says_which_runs_warn_and_is_not_trusted(study):
@@ -168,7 +168,7 @@ def test_they_are_told_in_print_and_below_the_histogram(study, capsys):
 def test_a_figure_of_warned_infinite_answers_says_that_there_is_no_mean():
     row = {"response": "life", "unit": "cycles", "warned": 3, "mean": np.nan, "infinite": 1}
     table, responses = pandas.DataFrame([row]), {"life": np.array([1.0, np.inf])}
-    told = SimpleNamespace(warned=[0], responses=responses, sentence=str, doubts=())
+    told = SimpleNamespace(warned=[0], responses=responses, sentence=str, accuracy_warnings=())
     told.summary = lambda: table
     table["mean, samples without warnings"] = np.nan
     said = _warned_samples(told)[-1]
@@ -231,7 +231,7 @@ def test_shapley_effects_surface_and_what_corrects_it(problem, share):
     assert told(surface.warnings, share, 64) and surface.warnings[0] in str(surface)
     on_surface = jc.shapley_effects(surface, 64)
     assert on_surface.warnings == surface.warnings
-    fresh = jc.corrected(surface, 8, scramblings=4)
+    fresh = jc.corrected_statistics(surface, 8, scramblings=4)
     assert told(fresh.warnings, share, fresh.runs) and fresh.warnings[0] in str(fresh)
 
 

@@ -152,11 +152,11 @@ def test_a_life_of_two_cycles_is_two_cycles():
         wearing_ring(),
         jnp.asarray(1e-2),
     )
-    start = jc.settled(problem(fast), tolerance=1e-9)
+    start = jc.steady_cycle(problem(fast), tolerance=1e-9)
     state = start.state
     life = jc.wear_life(problem(fast, state=state), cycles=2)
-    first = jc.settled(problem(fast, state=state), cycles=1).run
-    second = jc.settled(problem(fast, state=first.state()), cycles=1).run
+    first = jc.steady_cycle(problem(fast, state=state), cycles=1).run
+    second = jc.steady_cycle(problem(fast, state=first.state()), cycles=1).run
     assert life.simulated == 3 and life.error == 0.0
     brute = np.asarray(second.worn["B"]["bearing"])
     np.testing.assert_allclose(life.worn()["B"]["bearing"], brute, rtol=1e-6)
@@ -251,7 +251,7 @@ def test_table_figure_and_dataset_tell_the_life(lived):
     assert f"from {life.simulated} simulated ones" in figure.get_suptitle()
     data = life.to_dataset()
     np.testing.assert_array_equal(data["B.bearing.worn"][-1], life.worn()["B"]["bearing"])
-    again = jc.settled(problem(life.problem.mechanism, state=life.state()))
+    again = jc.steady_cycle(problem(life.problem.mechanism, state=life.state()))
     assert again.responses["force"][0] == pytest.approx(life.over_life("force")[-1], rel=1e-3)
 
 
@@ -277,7 +277,7 @@ def test_lives_of_a_sample_are_those_of_the_closed_form(tmp_path):
     """Each with its own hardness and load; asked again, the study takes them from its store."""
     law, limit = ClosedForm(), 4e-6
     asked, turns = problem(wearing_ring()), 1.3 * law.turns(limit)
-    found = jc.wear_lives(asked, 4, cycles=turns, store=tmp_path / "lives")
+    found = jc.wear_life_sample(asked, 4, cycles=turns, store=tmp_path / "lives")
     assert not found.ended and not found.warned and "4 lives, 0 ended early" in str(found)
     hardness, load = found.values.T
 
@@ -291,9 +291,9 @@ def test_lives_of_a_sample_are_those_of_the_closed_form(tmp_path):
     assert np.isinf(found.until("depth", 1.0)).all()
     table = found.table()
     assert len(table) == 4 and {"hardness", "load", "cycles", "depth [m]", "ended"} <= set(table)
-    again = jc.wear_lives(asked, 4, cycles=turns, store=tmp_path / "lives")
+    again = jc.wear_life_sample(asked, 4, cycles=turns, store=tmp_path / "lives")
     np.testing.assert_array_equal(again.until("depth", limit), found.until("depth", limit))
-    other = jc.wear_lives(asked, 4, cycles=turns, seed=1, store=tmp_path / "lives")
+    other = jc.wear_life_sample(asked, 4, cycles=turns, seed=1, store=tmp_path / "lives")
     assert not np.any(other.until("depth", limit) == found.until("depth", limit))
 
 
@@ -340,7 +340,10 @@ def test_a_life_is_a_response_as_any_other(tmp_path, monkeypatch):
         (lambda: jc.wear_life(jc.scenes.slider_crank(), period=0.1, cycles=9), "nothing wears"),
         (lambda: jc.wear_life(problem(wearing_ring()), cycles=-1), "cycles of wear_life is -1"),
         (lambda: jc.wear_life(problem(wearing_ring()), cycles=1e300), r"at most 9\.0072e\+15"),
-        (lambda: jc.wear_lives(problem(wearing_ring()), cycles=1e300), r"at most 9\.0072e\+15"),
+        (
+            lambda: jc.wear_life_sample(problem(wearing_ring()), cycles=1e300),
+            r"at most 9\.0072e\+15",
+        ),
         (lambda: jc.wear_life(problem(wearing_ring()), jump=0.5), "jump of wear_life is 0.5"),
         (lambda: jc.wear_life(problem(wearing_ring()), store=3), "must be the path of a folder"),
         (lambda: jc.wear_life(wearing_ring()), r"needs its period \[s\]"),

@@ -36,8 +36,8 @@ class Backlash(AbstractQuantified):
         restitution: share of the speed with which rigid flanks part [1], >= 0 and <= 1. With it
             flanks are rigid in `MoreauJean`, where stiffness and damping count nothing; None by
             default.
-        seated: whether the flanks always press, as `NonColliding` takes them: the coupling moves as
-            one without play, and the sign of what it transmits tells which flank presses
+        in_contact: whether the flanks always press, as `NonColliding` takes them: the coupling
+            moves as one without play, and the sign of what it transmits tells which flank presses
             (`Trajectory.coupling`).
         wear: wear law of `jaxclear.wear`, or a `Wearing`; none by default.
         slide: sliding distance of a flank per distance along its pitch line [1], >= 0; needed with
@@ -54,7 +54,7 @@ class Backlash(AbstractQuantified):
     middle: Scalar | None = quantity(None, "rad", sliding="m", kw_only=True)
     law: AbstractFlankLaw = eqx.field(default_factory=Nordin, kw_only=True)
     restitution: Scalar | None = quantity(None, "1", at_least=0, at_most=1, kw_only=True)
-    seated: bool = eqx.field(static=True, default=False, kw_only=True)
+    in_contact: bool = eqx.field(static=True, default=False, kw_only=True)
     wear: Wearing | None = eqx.field(default=None, converter=_as_wearing, kw_only=True)
     slide: Scalar | None = quantity(None, "1", at_least=0, kw_only=True)
     area: Scalar | None = quantity(None, "m^2", above=0, kw_only=True)

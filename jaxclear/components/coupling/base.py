@@ -148,7 +148,7 @@ class AbstractCoupling(AbstractQuantified):
         """Whether it is a force element: it has play, whose flanks do not always press, or
         stiffness."""
         if self.play is not None:
-            return not self.play.seated
+            return not self.play.in_contact
         return self.stiffness is not None
 
     @property

@@ -20,10 +20,10 @@ from jaxclear.studies.design.question import Question, checked_cost, checked_lim
 from jaxclear.studies.design.result import Design, prices_of
 from jaxclear.studies.design.runs import BATCH, Runs
 from jaxclear.studies.design.search import DesignSettings, Sought, sought
-from jaxclear.studies.endless import endless_sentences
+from jaxclear.studies.infinite_responses import infinite_messages
 from jaxclear.studies.problem import Problem
+from jaxclear.studies.run_warnings import sentences
 from jaxclear.studies.store.store import stored
-from jaxclear.studies.warned import sentences
 
 
 @answering
@@ -75,7 +75,7 @@ def design(
 
 @answering
 @stored("a design")
-def design_front(
+def pareto_front(
     problem: Problem,
     cost: Any,
     limits: Sequence[AbstractLimit] | AbstractLimit,
@@ -110,14 +110,14 @@ def design_front(
     unknown = set(choices) - {"tolerance", "nominal", "choose", "progress_bar"}
     if unknown:
         raise TypeError(
-            f'design_front has no argument "{sorted(unknown)[0]}"; beside bounds and limit it '
+            f'pareto_front has no argument "{sorted(unknown)[0]}"; beside bounds and limit it '
             "takes what jaxclear.design takes."
         )
     show = choices.pop("progress_bar", False)
-    check_flags("design_front", progress_bar=show)
+    check_flags("pareto_front", progress_bar=show)
     free = [choices.get(name) for name in ("tolerance", "nominal", "choose")]
     question = _make_question(problem, cost, limits, *free)
-    check_count("limit of design_front", limit, at_least=0)
+    check_count("limit of pareto_front", limit, at_least=0)
     if limit >= len(question.limits):
         raise ValueError(f"there is no limit {limit}; there are {len(question.limits)}, from 0 on.")
     settings = _settings(settings)
@@ -194,6 +194,6 @@ def _make_design(search: Sought, runs: Runs, settings: DesignSettings, before: t
         runs.count - before[0],
         runs.computed - before[1],
         runs.failed - before[2],
-        tuple(endless_sentences(runs.problem, runs.named(before[0]))),
+        tuple(infinite_messages(runs.problem, runs.named(before[0]))),
         sentences(runs.problem, runs.warned(before[0]), limited),
     )

@@ -20,8 +20,8 @@ from jaxclear.studies.design.result import FEW_FAILED
 from jaxclear.studies.design.runs import BATCH, Runs
 from jaxclear.studies.design.verification import Verifier
 from jaxclear.studies.problem import Problem
+from jaxclear.studies.run_warnings import sentences
 from jaxclear.studies.store.store import stored
-from jaxclear.studies.warned import sentences
 
 
 class Trial(NamedTuple):

@@ -23,7 +23,7 @@ from jaxclear.ground.argument_errors import nothing_else
 from jaxclear.ground.numerics import safe_sqrt
 from jaxclear.ground.printing import as_written
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity
-from jaxclear.studies.endless import check_within_horizon
+from jaxclear.studies.infinite_responses import check_within_horizon
 
 # A quantile is a mean over values whose shares lie within so much of the one asked for, as a part
 # of it: without it, it would jump from one sample to the next as a design changes. For a normal

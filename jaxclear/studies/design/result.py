@@ -14,8 +14,8 @@ from jaxclear.studies.design.limit import AbstractLimit
 from jaxclear.studies.design.question import NOMINAL, Question
 from jaxclear.studies.design.search import Round
 from jaxclear.studies.problem import Problem
+from jaxclear.studies.run_warnings import FEW_WARNED, sentences, warned_share
 from jaxclear.studies.surface.response_surface import TRUSTED
-from jaxclear.studies.warned import FEW_WARNED, sentences, warned_share
 
 # Limits of lengths and angles below this are priced by the thousandth of a millionth, others by the
 # millionth [m, rad].

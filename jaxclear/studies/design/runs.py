@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from jaxclear.studies.endless import bounded, successes
+from jaxclear.studies.infinite_responses import bounded, successes
+from jaxclear.studies.run_warnings import codes_of
 from jaxclear.studies.store.batch import evaluate_all
 from jaxclear.studies.store.store import CURRENT
-from jaxclear.studies.warned import codes_of
 
 # Samples a batch: one record of the store, and one chunk of the compiled program.
 BATCH = 32
@@ -20,7 +20,7 @@ BATCH = 32
 
 class Runs:
     """Values (samples, variables) and responses (samples, responses), `nan` of those that failed;
-    `codes` (samples,): of what they warn (`studies.warned`)."""
+    `codes` (samples,): of what they warn (`studies.run_warnings`)."""
 
     def __init__(self, problem: Any, show: bool, batch: int = BATCH):
         self.problem, self.show, self.batch = problem, show, batch

@@ -15,7 +15,7 @@ from jaxclear.studies.design.limit import SAME, AbstractLimit, Sample
 from jaxclear.studies.design.population import AbstractModel, Points, points
 from jaxclear.studies.design.question import Question
 from jaxclear.studies.design.runs import Runs
-from jaxclear.studies.endless import refuse_endless, replace_infinite
+from jaxclear.studies.infinite_responses import refuse_infinite, replace_infinite
 from jaxclear.studies.statistics.scrambled import student
 from jaxclear.studies.surface.control_variate import with_difference
 
@@ -28,7 +28,7 @@ INSTEAD = "take limit.Quantile or limit.Probability"
 class Check(NamedTuple):
     """Limited numbers (limits,) and their 95 % errors, excesses (limits,) [1] and theirs, how many
     runs told them and how many of these failed; `failed_at` (variables,): the values of the first
-    of these, if any; `codes` (those that did not,): of what they warn (`studies.warned`)."""
+    of these, if any; `codes` (those that did not,): of what they warn (`studies.run_warnings`)."""
 
     numbers: np.ndarray
     errors: np.ndarray
@@ -117,7 +117,7 @@ class Verifier(NamedTuple):
             return lambda weights: Sample(jnp.zeros(1), jnp.ones(1), ends), largest
         data = np.asarray(question.of(limit, values, dict(zip(names, responses.T, strict=True))))
         if limit.by_moments():
-            refuse_endless(self.runs.problem, {limit.response: data}, "mean or deviation", INSTEAD)
+            refuse_infinite(self.runs.problem, {limit.response: data}, "mean or deviation", INSTEAD)
         data, largest = _finite(limit, np.where(np.isnan(data), 0.0, data))
         if not (self.corrected and limit.response in names):
             alone = Sample(jnp.asarray(data), jnp.zeros(0), jnp.zeros(2))

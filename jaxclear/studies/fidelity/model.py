@@ -16,7 +16,7 @@ import numpy as np
 
 from jaxclear.ground.arguments import expect
 from jaxclear.ground.wording import listed
-from jaxclear.studies.endless import refuse_endless
+from jaxclear.studies.infinite_responses import refuse_infinite
 from jaxclear.studies.problem import Problem
 from jaxclear.studies.store.batch import chunk_size, evaluate_all
 from jaxclear.studies.store.digest import in_texts
@@ -134,7 +134,7 @@ class ModelResponses(NamedTuple):
 def model_responses(model: Model, names: tuple[str, ...], result: Any) -> ModelResponses:
     """What samples of a model tell of the responses of these names."""
     reached, nothing = result.reached_responses(), np.full(len(result.outcome), np.nan)
-    refuse_endless(model.problem, result.responses, "mean or deviation")
+    refuse_infinite(model.problem, result.responses, "mean or deviation")
     indices = [i for i, name in enumerate(names) if name in model.problem.response_names]
     responses = np.stack([reached.get(name, nothing) for name in names], axis=1)
     good = np.all(np.isfinite(responses[:, indices]), axis=1)

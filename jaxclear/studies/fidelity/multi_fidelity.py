@@ -18,12 +18,12 @@ from jaxclear.studies.fidelity.levels import FIRST, Chain, Links, chosen
 from jaxclear.studies.fidelity.model import Model, model_responses, models_of
 from jaxclear.studies.fidelity.result import MultiFidelity, rate
 from jaxclear.studies.problem import Problem
+from jaxclear.studies.run_warnings import any_warning
 from jaxclear.studies.sampling import check_sampled, draw
 from jaxclear.studies.scrambling import seed_of
 from jaxclear.studies.statistics.accuracy import parse_accuracy, unreached
 from jaxclear.studies.statistics.scrambled import Statistic, deviation_of_moments, student
 from jaxclear.studies.store.store import stored
-from jaxclear.studies.warned import any_warning
 
 # Independent scramblings, whose differences tell the errors.
 SCRAMBLINGS = 16

@@ -57,7 +57,7 @@ from jaxclear.studies.identification.sample import (
     statistics_of,
     watched,
 )
-from jaxclear.studies.identification.told import identify_by_signals, of_records
+from jaxclear.studies.identification.signal_answers import identify_by_signals, of_records
 from jaxclear.studies.problem import Problem
 from jaxclear.studies.sampling import check_sampled
 from jaxclear.studies.store.store import open_store

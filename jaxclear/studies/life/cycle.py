@@ -234,23 +234,23 @@ def check_cycle(what: str, problem: Any) -> None:
     expect(problem.experiment, RunExperiment, what, "a jaxclear.Problem of one cycle")
 
 
-def as_problem(owner: str, asked: Any, period: Any, state: State | None = None) -> Problem:
+def as_problem(owner: str, subject: Any, period: Any, state: State | None = None) -> Problem:
     """The problem whose duration is one cycle: the one given, or a mechanism with its `period` [s],
     the `state` from which it begins and the responses that one asks of it. Raises `ValueError` with
     a sentence."""
-    if isinstance(asked, Problem):
-        check_cycle(f"the first argument of {owner}", asked)
+    if isinstance(subject, Problem):
+        check_cycle(f"the first argument of {owner}", subject)
         if period is not None or state is not None:
             raise ValueError(
                 f"{owner} is given a Problem, whose duration is the period and which has its own "
                 "state, and one of them besides: leave it out, and give cycles by name, cycles=..."
             )
-        return asked
-    expect(asked, Mechanism, f"the first argument of {owner}", "a Mechanism or a Problem")
+        return subject
+    expect(subject, Mechanism, f"the first argument of {owner}", "a Mechanism or a Problem")
     if period is None:
         raise ValueError(f"{owner} of a mechanism needs its period [s]: how long one cycle takes.")
     check_number(f"period of {owner}", period, "s", above=0)
-    problem = Problem(asked, usual_responses(asked), {}, duration=period, state=state)
+    problem = Problem(subject, usual_responses(subject), {}, duration=period, state=state)
     warn_of_several(owner, problem)
     return problem
 

@@ -55,7 +55,7 @@ def wear_life_derivatives(
     *,
     variables: Sequence[str] | None = None,
     width: float | None = None,
-    most: int = 12,
+    max_cycles: int = 12,
     store: str | Path | None = None,
     progress_bar: bool = False,
 ) -> dict[str, LifeDerivative]:
@@ -71,7 +71,7 @@ def wear_life_derivatives(
         variables: names of variables; all by default.
         width: change of a variable, in its unit; by default a standard deviation of its
             distribution.
-        most: largest number of cycles over which a rate is averaged; 12 by default.
+        max_cycles: largest number of cycles over which a rate is averaged; 12 by default.
         store: folder that keeps every cycle, that of the life or another; None (default) for none.
         progress_bar: whether to show the progress; False by default.
 
@@ -99,13 +99,13 @@ def wear_life_derivatives(
         for name in names:
             deviation = problem.marginals[name].deviation()
             step = float(deviation) if width is None else float(width)
-            derivatives[name] = _of_variable(life, quantity, limit, name, step, most)
+            derivatives[name] = _of_variable(life, quantity, limit, name, step, max_cycles)
             progress.advance(1 / len(names))
     return derivatives
 
 
 def _of_variable(
-    life: WearLife, quantity: str, limit: float | None, name: str, width: float, most: int
+    life: WearLife, quantity: str, limit: float | None, name: str, width: float, max_cycles: int
 ) -> LifeDerivative:
     """By one variable."""
     problem = life.problem
@@ -117,7 +117,7 @@ def _of_variable(
     for move in MOVES:
         moved = problem.nominal() + move * width * jnp.eye(len(problem.names))[place]
         try:
-            other = _along(life, moved, most)
+            other = _along(life, moved, max_cycles)
         except (SimulationError, ValueError) as reason:
             return _none(unit, f"The {what} has no derivative by {name} here: {reason}")
         length = _length_and_noise(other, quantity, limit)
@@ -144,10 +144,10 @@ def _none(unit: str, why: str) -> LifeDerivative:
     return LifeDerivative(np.nan, np.nan, unit, why)
 
 
-def _along(life: WearLife, values: Any, most: int) -> WearLife:
+def _along(life: WearLife, values: Any, max_cycles: int) -> WearLife:
     """The life with other numbers, by the same steps."""
     accurate = life.accuracy if np.isfinite(life.accuracy) else 1.0
-    rates = Rates(life.problem, values, Patience(SETTLED, accurate, most))
+    rates = Rates(life.problem, values, Patience(SETTLED, accurate, max_cycles))
     return lived(rates, life.asked, life.accuracy, None, life.lengths)
 
 

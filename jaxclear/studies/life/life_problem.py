@@ -182,7 +182,7 @@ class LifeExperiment(AbstractExperiment):
     response: dict[str, Callable]
     cycles: float | None = eqx.field(static=True)
     accuracy: float = eqx.field(static=True)
-    most: int = eqx.field(static=True)
+    max_cycles: int = eqx.field(static=True)
     response_names: tuple[str, ...] = derived(static=True)
 
     def __init__(
@@ -191,11 +191,11 @@ class LifeExperiment(AbstractExperiment):
         response: dict[str, Callable],
         cycles: float | None,
         accuracy: float,
-        most: int,
+        max_cycles: int,
     ):
         self.problem, self.response = problem, response
         self.cycles = None if cycles is None else float(cycles)
-        self.accuracy, self.most = float(accuracy), most
+        self.accuracy, self.max_cycles = float(accuracy), max_cycles
         self.response_names = tuple(response)
         for function in self._life_responses().values():
             function.check(self._quantities())
@@ -306,7 +306,12 @@ class LifeExperiment(AbstractExperiment):
 
     def parts(self):
         # By the names with which folders were written.
-        keys = {"response": "response", "cycles": "cycles", "tolerance": "accuracy", "most": "most"}
+        keys = {
+            "response": "response",
+            "cycles": "cycles",
+            "tolerance": "accuracy",
+            "most": "max_cycles",
+        }
         settings = {f"{name} of lives": getattr(self, what) for name, what in keys.items()}
         return self.problem.experiment.parts() | settings
 
@@ -342,7 +347,7 @@ class LifeExperiment(AbstractExperiment):
         return Outcome.OUT_OF_RANGE
 
     def _lived(self, values: Any, cycles: float) -> WearLife:
-        patience = Patience(SETTLED, float(self.accuracy), self.most)
+        patience = Patience(SETTLED, float(self.accuracy), self.max_cycles)
         rates = Rates(self.problem, values, patience)
         return lived(rates, float(cycles), float(self.accuracy), None)
 
@@ -365,7 +370,7 @@ def LifeProblem(
     *,
     cycles: float | None = None,
     accuracy: float = 1e-2,
-    most: int = 12,
+    max_cycles: int = 12,
 ) -> Problem:
     """A problem of lives of the machine of a problem, whose duration is one cycle. Variables are
     that problem's.
@@ -383,7 +388,7 @@ def LifeProblem(
         cycles: how long lives are followed [1], for functions; a `LifeUntil` goes without, and a
             life is then as long as it takes to reach the limits.
         accuracy: relative error of the wear [1], > 0, as in `wear_life`.
-        most: the largest number of cycles [1] that may settle, as in `wear_life`.
+        max_cycles: the largest number of cycles [1] that may settle, as in `wear_life`.
 
     Raises:
         ValueError: with a sentence for what cannot be asked.
@@ -393,8 +398,8 @@ def LifeProblem(
     if cycles is not None:
         check_cycles("a LifeProblem", cycles)
     check_number("accuracy of a LifeProblem", accuracy, above=0)
-    check_count("most of a LifeProblem", most)
+    check_count("max_cycles of a LifeProblem", max_cycles)
     responses = by_name("response", response)
     check_responses(responses, problem.variables, "a life")
-    lives = LifeExperiment(problem, responses, cycles, accuracy, most)
+    lives = LifeExperiment(problem, responses, cycles, accuracy, max_cycles)
     return problem.with_experiment(lives)

@@ -11,11 +11,12 @@ import jax
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
+from jaxclear.ground.argument_errors import Renamed
 from jaxclear.ground.arguments import check_name, check_number
 from jaxclear.ground.printing import with_text_repr
 from jaxclear.integrators.checks import Checks
 from jaxclear.multibody.system import wearing_in
-from jaxclear.results.response import concerned
+from jaxclear.results.response import depends_on
 from jaxclear.results.state_history import State
 from jaxclear.simulation.wear import Worn
 from jaxclear.studies.answer import AbstractAnswer, Column, Stated, with_unit
@@ -327,11 +328,13 @@ class WearLife(AbstractAnswer):
     def _shown(self):
         return self.sentence(), *self.warnings
 
-    def concerned(self, response: str) -> bool:
+    concerned = Renamed("is_affected")
+
+    def is_affected(self, response: str) -> bool:
         """Whether a warning concerns this response."""
         function = self.problem.response[response]
         return any(
-            worst > check.limit and concerned(function, check.concerns)
+            worst > check.limit and depends_on(function, check.concerns)
             for check, worst, _, _ in self.checks.rows()
         )
 

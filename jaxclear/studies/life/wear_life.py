@@ -1,5 +1,5 @@
 """The wear of a machine over its life: `jaxclear.wear_life`, and of many copies whose numbers vary,
-one life after the other: `jaxclear.wear_lives`.
+one life after the other: `jaxclear.wear_life_sample`.
 
 A cycle is simulated, what its contacts lose put on the surfaces as many times as an error control
 allows, and so on, each cycle from where the one before settled. One program is compiled for all:
@@ -40,7 +40,7 @@ from jaxclear.studies.problem import Problem
 from jaxclear.studies.sampling import draw
 from jaxclear.studies.store.store import open_store
 
-# Ends of a cycle this far apart are the same, as in `settled`.
+# Ends of a cycle this far apart are the same, as in `steady_cycle`.
 SETTLED = 1e-3
 # The first step wears at most this share of the smallest clearance, in at most this share of the
 # life.
@@ -49,14 +49,14 @@ FIRST_DEPTH, FIRST_SHARE = 0.1, 0.25
 
 @answering
 def wear_life(
-    asked: Mechanism | Problem,
+    subject: Mechanism | Problem,
     period: float | None = None,
     *,
     cycles: float | None = None,
     hours: float | None = None,
     accuracy: float = 1e-2,
     jump: float | None = None,
-    most: int = 12,
+    max_cycles: int = 12,
     store: str | Path | None = None,
     verify: bool = False,
     progress_bar: bool = False,
@@ -65,12 +65,12 @@ def wear_life(
 
     Cycle jumps are chosen so that the relative error of the wear in each jump, and so of the whole
     life, is about `accuracy` (root mean square over the cells of a surface). A rate is that of a
-    periodic cycle (`settled`) or, where there is none, a mean over cycles, whose scatter belongs to
-    the error. A surface that wears no more is not simulated further; a life ends where a surface is
-    worn through or a cycle fails.
+    periodic cycle (`steady_cycle`) or, where there is none, a mean over cycles, whose scatter
+    belongs to the error. A surface that wears no more is not simulated further; a life ends where a
+    surface is worn through or a cycle fails.
 
     Args:
-        asked: a `Mechanism`, or a `Problem` whose duration is the period, at its nominal values,
+        subject: a `Mechanism`, or a `Problem` whose duration is the period, at its nominal values,
             and whose responses are followed.
         period: period of a mechanism [s], > 0; None for a problem.
         cycles: number of cycles, at most 2^53; by default 1e6 of a problem, of a mechanism it or
@@ -79,7 +79,7 @@ def wear_life(
         accuracy: relative error of a jump [1], > 0; 0.01 by default.
         jump: fixed length of the jumps [cycles], each with the wear rate at its start; None
             (default) for chosen ones.
-        most: largest number of cycles over which a rate is averaged; 12 by default.
+        max_cycles: largest number of cycles over which a rate is averaged; 12 by default.
         store: folder that keeps every cycle, from which a life is continued; None (default) for
             none.
         verify: whether a second life, on cells twice as wide, gives the error that cells leave in
@@ -93,13 +93,13 @@ def wear_life(
         ValueError: if an argument is wrong.
         SimulationError: if the first cycle fails.
     """
-    if isinstance(asked, Mechanism) and period is not None and cycles is None and hours is None:
+    if isinstance(subject, Mechanism) and period is not None and cycles is None and hours is None:
         check_number("period of wear_life", period, "s", above=0)
         raise ValueError(
             f"wear_life is given a period of {float(period):g} s and no number of cycles: give it "
             "by name, cycles=..., or hours=... of operation."
         )
-    problem = as_problem("wear_life", asked, period)
+    problem = as_problem("wear_life", subject, period)
     if hours is not None:
         check_number("hours of wear_life", hours, "h", above=0)
         if cycles is not None:
@@ -110,11 +110,11 @@ def wear_life(
     check_number("accuracy of wear_life", accuracy, above=0)
     if jump is not None:
         check_number("jump of wear_life", jump, at_least=1)
-    check_count("most of wear_life", most)
+    check_count("max_cycles of wear_life", max_cycles)
     check_flags("wear_life", progress_bar=progress_bar, verify=verify)
     check_wear_problem(problem)
     with open_store(store, "a wear life", problem), progress.bar(progress_bar, "wear life"):
-        rates = Rates(problem, problem.nominal(), Patience(SETTLED, accuracy, most))
+        rates = Rates(problem, problem.nominal(), Patience(SETTLED, accuracy, max_cycles))
         life = lived(rates, float(length), float(accuracy), jump)
     if not verify:
         return life
@@ -223,7 +223,7 @@ def _check_wears(problem: Problem) -> None:
             )
 
 
-class WearLives(AbstractAnswer):
+class WearLifeSample(AbstractAnswer):
     """Lives of a sample. `values` (samples, variables) are the varied numbers, `lives` the life of
     each sample, None for one without a first cycle, `failed` why, by its index; `seed` of the
     sample."""
@@ -290,17 +290,17 @@ class WearLives(AbstractAnswer):
 
 
 @answering
-def wear_lives(
+def wear_life_sample(
     problem: Problem,
     samples: int = 32,
     *,
     cycles: float = 1e6,
     seed: int = 0,
     accuracy: float = 1e-2,
-    most: int = 12,
+    max_cycles: int = 12,
     store: str | Path | None = None,
     progress_bar: bool = False,
-) -> WearLives:
+) -> WearLifeSample:
     """Wear over many cycles for a quasi-random sample of a problem's variables.
 
     A life whose first cycle fails keeps its row, with the reason.
@@ -311,22 +311,22 @@ def wear_lives(
         cycles: number of cycles of each; 1e6 by default.
         seed: seed of the random numbers; 0 by default.
         accuracy: relative error of a jump [1], > 0; 0.01 by default.
-        most: largest number of cycles over which a rate is averaged; 12 by default.
+        max_cycles: largest number of cycles over which a rate is averaged; 12 by default.
         store: folder that keeps each life, from which an interrupted study is continued; None
             (default) for none.
         progress_bar: whether to show the progress; False by default.
 
     Returns:
-        The `WearLives`.
+        The `WearLifeSample`.
 
     Raises:
         ValueError: if an argument is wrong.
     """
     check_cycle("what lives", problem)
-    check_cycles("wear_lives", cycles)
-    check_number("accuracy of wear_lives", accuracy, above=0)
-    check_count("most of wear_lives", most)
-    check_flags("wear_lives", progress_bar=progress_bar)
+    check_cycles("wear_life_sample", cycles)
+    check_number("accuracy of wear_life_sample", accuracy, above=0)
+    check_count("max_cycles of wear_life_sample", max_cycles)
+    check_flags("wear_life_sample", progress_bar=progress_bar)
     check_wear_problem(problem)
     values = draw(problem, samples, seed)
     lives: list[WearLife | None] = []
@@ -334,10 +334,10 @@ def wear_lives(
     with open_store(store, "wear lives", problem), progress.bar(progress_bar, "lives"):
         for i, row in enumerate(values):
             try:
-                rates = Rates(problem, jnp.asarray(row), Patience(SETTLED, accuracy, most))
+                rates = Rates(problem, jnp.asarray(row), Patience(SETTLED, accuracy, max_cycles))
                 lives.append(lived(rates, float(cycles), float(accuracy), None))
             except (SimulationError, ValueError) as reason:
                 lives.append(None)
                 failed[i] = str(reason)
             progress.advance(1 / samples)
-    return WearLives(problem, values, tuple(lives), failed, seed)
+    return WearLifeSample(problem, values, tuple(lives), failed, seed)

@@ -15,16 +15,16 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxclear.ground.printing import with_text_repr
-from jaxclear.studies.endless import successes
 from jaxclear.studies.experiment import SampleResult
+from jaxclear.studies.infinite_responses import successes
 from jaxclear.studies.limit_state import AbstractLimitState
 from jaxclear.studies.problem import Problem
+from jaxclear.studies.run_warnings import codes_of, sentences
 from jaxclear.studies.sampling import all_values, value_slopes
 from jaxclear.studies.statistics.scrambled import student
 from jaxclear.studies.store.batch import chunk_size, evaluate_all
 from jaxclear.studies.surface.response_surface import ResponseSurface
 from jaxclear.studies.surface.surface import run
-from jaxclear.studies.warned import codes_of, sentences
 
 # Runs that are computed together, so that all rounds share one compiled program.
 ROUND = 256

@@ -15,8 +15,8 @@ import numpy as np
 
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_count, check_flags, check_methods, check_number, expect
-from jaxclear.studies.endless import check_within_horizon, endless_sentences
 from jaxclear.studies.experiment import SampleResult
+from jaxclear.studies.infinite_responses import check_within_horizon, infinite_messages
 from jaxclear.studies.limit_state import AbstractLimitState, check_limit, system_margin
 from jaxclear.studies.problem import Problem
 from jaxclear.studies.reliability.design_point import DesignPoint, design_points
@@ -64,7 +64,7 @@ def surface_where_it_fails(
         values = np.concatenate([points for points, _ in samples])
         result = jax.tree.map(lambda *parts: np.concatenate(parts), *(runs for _, runs in samples))
         limited = {part.response: result.responses[part.response] for part in model.limit.limits()}
-        endless = endless_sentences(model.problem, limited)
+        endless = infinite_messages(model.problem, limited)
         if endless:
             return f"{NO_SURFACE}: {' '.join(endless)}", [], False
         surface = fitted(model.problem, values, result)

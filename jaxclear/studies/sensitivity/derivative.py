@@ -15,9 +15,9 @@ from jaxclear.ground.printing import AbstractShown, in_few, with_error, with_tex
 from jaxclear.ground.wording import unit_of_rate
 from jaxclear.studies.answer import DATASET, RESPONSE, VARIABLE, AbstractAnswer, Column, Stated
 from jaxclear.studies.monte_carlo import MonteCarlo
+from jaxclear.studies.run_warnings import FEW_WARNED
 from jaxclear.studies.sensitivity.estimand import Size
 from jaxclear.studies.statistics.scrambled import skewed_half
-from jaxclear.studies.warned import FEW_WARNED
 
 # An answer this many times less certain than another is large agrees with anything, and confirms
 # nothing; of a zero, one whose error is no small part of all that the variable could do.

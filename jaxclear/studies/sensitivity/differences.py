@@ -19,11 +19,11 @@ from jaxclear.integrators import Outcome
 from jaxclear.studies.distribution.base import END_SCORE
 from jaxclear.studies.experiment import SampleResult
 from jaxclear.studies.problem import Problem
+from jaxclear.studies.run_warnings import FEW_WARNED, concern
 from jaxclear.studies.sensitivity.derivative import Estimate, from_parts, refused
 from jaxclear.studies.sensitivity.estimand import FEWEST_DECIDING, Direction, Functional
 from jaxclear.studies.statistics.scrambled import half_width, pseudo_values, student
 from jaxclear.studies.store.batch import chunk_size, evaluate_all
-from jaxclear.studies.warned import FEW_WARNED, concern
 
 # Shares of a step by which the variable is moved.
 SHIFTS = np.array([-1.0, -0.5, 0.5, 1.0])

@@ -23,7 +23,7 @@ from jaxclear.ground.arguments import check_name, check_number, expect
 from jaxclear.ground.numerics import safe_divide
 from jaxclear.ground.wording import described, listed
 from jaxclear.native.compiled import compiled_quickly
-from jaxclear.studies.endless import INSTEAD, check_within_horizon, replace_infinite
+from jaxclear.studies.infinite_responses import INSTEAD, check_within_horizon, replace_infinite
 from jaxclear.studies.problem import Problem
 from jaxclear.studies.statistics.scrambled import ordinary_quantile, smooth_quantile
 

@@ -14,11 +14,11 @@ from jaxtyping import Array, Float
 from jaxclear.integrators import Outcome
 from jaxclear.studies.experiment import SampleResult
 from jaxclear.studies.problem import Problem
+from jaxclear.studies.run_warnings import concern
 from jaxclear.studies.sensitivity.derivative import Estimate, from_parts, refused
 from jaxclear.studies.sensitivity.estimand import Direction, Functional
 from jaxclear.studies.statistics.scrambled import pseudo_values
 from jaxclear.studies.store.batch import evaluate_all
-from jaxclear.studies.warned import concern
 
 # From this many times the typical size of single derivatives on, the error of their mean shows that
 # a mean does not exist.

@@ -26,13 +26,13 @@ import scipy
 from jaxclear.studies.distribution.base import END_SCORE
 from jaxclear.studies.monte_carlo import MonteCarlo
 from jaxclear.studies.problem import Problem
+from jaxclear.studies.run_warnings import concern
 from jaxclear.studies.sampling import by_scrambling, draw
 from jaxclear.studies.scrambling import scrambled_shares
 from jaxclear.studies.sensitivity.derivative import Estimate, from_parts, refused
 from jaxclear.studies.sensitivity.estimand import Direction, Functional, weights
 from jaxclear.studies.statistics.scrambled import SAMPLES_A_TERM, pseudo_values, student
 from jaxclear.studies.store.batch import evaluate_all
-from jaxclear.studies.warned import concern
 
 # Points at which the polynomial's mean derivative is taken, and what draws them.
 MANY, MANY_SEED = 8192, 20260

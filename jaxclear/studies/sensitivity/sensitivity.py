@@ -178,7 +178,7 @@ def _merge(every: dict[Direction, dict], goals: list[Functional], drawn: MonteCa
             unresolved = "" if steps is None or steps.is_resolved else steps.unresolved
             # What brings the sample's response in doubt, and what the sample lacks of what was
             # asked for.
-            doubts = [unresolved, *drawn.doubts_of(one.response), drawn.unreached]
+            doubts = [unresolved, *drawn.accuracy_warnings_of(one.response), drawn.unreached]
             verdict = " ".join(filter(None, [answer.verdict, *doubts]))
             error = answer.error if steps is None or unresolved else steps.whole
             derivatives[key] = dataclasses.replace(answer, verdict=verdict, error=error)

@@ -25,9 +25,10 @@ from jaxclear.ground.arguments import check_count, check_flags
 from jaxclear.ground.printing import failed_samples_sentence
 from jaxclear.integrators import Outcome
 from jaxclear.studies.answer import RESPONSE, VARIABLE, AbstractAnswer, Stated, with_interval
-from jaxclear.studies.endless import refuse_endless
+from jaxclear.studies.infinite_responses import refuse_infinite
 from jaxclear.studies.inputs import Inputs
 from jaxclear.studies.problem import Problem
+from jaxclear.studies.run_warnings import sentences_among
 from jaxclear.studies.sampling import check_sampled, groups
 from jaxclear.studies.scrambling import scores_by_scrambling
 from jaxclear.studies.statistics.scrambled import Statistic, student
@@ -40,7 +41,6 @@ from jaxclear.studies.statistics.sobol_indices import (
 from jaxclear.studies.store.batch import evaluate_all
 from jaxclear.studies.store.store import stored
 from jaxclear.studies.surface.response_surface import ResponseSurface
-from jaxclear.studies.warned import sentences_among
 
 SCRAMBLINGS = 16
 # All sets of so many variables are gone through; of more, orders drawn by chance, so many in all.
@@ -126,7 +126,7 @@ def shapley_effects(
         result = evaluate_all(problem, values, progress_bar=progress_bar, label="Shapley effects")
         reached = np.asarray(result.outcome) == Outcome.REACHED
         responses = result.responses
-        refuse_endless(problem, responses, "variance")
+        refuse_infinite(problem, responses, "variance")
         warnings = sentences_among(problem, result.checks, reached)
     else:
         points = np.asarray(surface.values)

@@ -29,8 +29,9 @@ from jaxclear.ground.arguments import check_flags
 from jaxclear.ground.printing import failed_samples_sentence
 from jaxclear.integrators import Outcome
 from jaxclear.studies.answer import RESPONSE, VARIABLE, AbstractAnswer, Stated, with_interval
-from jaxclear.studies.endless import refuse_endless, undrawn_levels
+from jaxclear.studies.infinite_responses import refuse_infinite, undrawn_levels
 from jaxclear.studies.problem import Problem
+from jaxclear.studies.run_warnings import sentences_among
 from jaxclear.studies.sampling import check_sampled, checked_scramblings, groups
 from jaxclear.studies.scrambling import scores_by_scrambling
 from jaxclear.studies.statistics.scrambled import (
@@ -45,7 +46,6 @@ from jaxclear.studies.store.store import stored
 from jaxclear.studies.surface.fitting import HIGHEST
 from jaxclear.studies.surface.polynomials import Expansion, levels, orthonormal, powers, products
 from jaxclear.studies.surface.response_surface import ResponseSurface
-from jaxclear.studies.warned import sentences_among
 
 # Parts beyond the outermost of n independent runs are more than this over n once in 2000 samples.
 MOST_OUTSIDE = 10.0
@@ -134,7 +134,7 @@ def sobol_indices(
     values = problem.inputs.values(np.concatenate(columns))
     result = evaluate_all(problem, values, progress_bar=progress_bar, label="Sobol' indices")
     reached = (np.asarray(result.outcome) == Outcome.REACHED).reshape(len(columns), -1)
-    refuse_endless(problem, result.responses, "variance")
+    refuse_infinite(problem, result.responses, "variance")
     good = np.all(reached, axis=0)
     rows = np.stack([result.responses[name] for name in problem.response_names], axis=-1)
     rows = rows.reshape(len(columns), len(group), -1)[:, good]

@@ -29,7 +29,7 @@ PERCENTILES = {"5 %": 0.05, "median": 0.5, "95 %": 0.95}
 def summary_row(study: Any, name: str, limits: Mapping[str, Limits]) -> dict[str, Any]:
     """The row of a response in the summary of a study (`MonteCarlo`)."""
     values, group = study.good(name)
-    warned = study.concerned(name)
+    warned = study.affected_samples(name)
     clean = np.setdiff1d(np.setdiff1d(np.arange(study.count), study.failed), warned)
     clean, clean_group = study.responses[name][clean], study.scrambling[clean]
     # Of infinite answers, as lives may be, there is no mean, nor a deviation.
@@ -100,8 +100,8 @@ def warnings_of(study: Any) -> list[str]:
 
 def doubtful_of(study: Any) -> list[str]:
     """The responses of each sample that its warnings concern."""
-    concerned = {name: set(study.concerned(name)) for name in study.responses}
-    names = lambda i: ", ".join(name for name, samples in concerned.items() if i in samples)
+    affected = {name: set(study.affected_samples(name)) for name in study.responses}
+    names = lambda i: ", ".join(name for name, samples in affected.items() if i in samples)
     return [names(i) for i in range(study.count)]
 
 

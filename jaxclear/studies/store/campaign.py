@@ -37,7 +37,7 @@ from jaxclear.studies.store.workers import AbstractWork, Heard, Threads, Workers
 # What keeps lives, in words.
 OTHERWISE = (
     "is no compiled program, and a campaign keeps samples of one; ask jaxclear.monte_carlo(..., "
-    "store=folder) for lives as responses, or jaxclear.wear_lives(..., store=folder)."
+    "store=folder) for lives as responses, or jaxclear.wear_life_sample(..., store=folder)."
 )
 # How studies call the number of their samples.
 COUNTS = ("samples", "sample")

@@ -14,8 +14,8 @@ from jaxclear.ground.arguments import check_name
 from jaxclear.ground.datasets import write_csv
 from jaxclear.ground.printing import with_text_repr
 from jaxclear.integrators.checks import Checks, Figure
-from jaxclear.studies.endless import answered
 from jaxclear.studies.experiment import SampleResult
+from jaxclear.studies.infinite_responses import has_answer
 from jaxclear.studies.monte_carlo import MonteCarlo
 from jaxclear.studies.problem import Problem
 from jaxclear.studies.statistics.limits import Limits, check_limits
@@ -200,7 +200,7 @@ class Campaign:
         columns, outcomes, beyond = [], [], []
         for at in self._spans():
             result = self._samples.result_of(at)
-            is_answered = answered(self.problem, result.responses)
+            is_answered = has_answer(self.problem, result.responses)
             columns.append({n: np.where(is_answered, result.responses[n], np.nan) for n in names})
             outcomes.append(result.outcome.astype(np.int8))
             beyond.append({c: np.asarray(row) for c, row in result.checks.beyond().items()})

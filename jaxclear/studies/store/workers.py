@@ -27,8 +27,8 @@ import numpy as np
 
 from jaxclear.ground.wording import described
 from jaxclear.native import stops
-from jaxclear.studies.endless import successes
 from jaxclear.studies.experiment import SampleResult
+from jaxclear.studies.infinite_responses import successes
 from jaxclear.studies.problem import Problem
 from jaxclear.studies.replicas import finer_runs
 from jaxclear.studies.sampling import Drawing

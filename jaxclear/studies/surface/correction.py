@@ -1,4 +1,4 @@
-"""Statistics by a surface that runs correct: `jaxclear.corrected`.
+"""Statistics by a surface that runs correct: `jaxclear.corrected_statistics`.
 
 The surface takes up what it explains, as a control variate: its own mean is known from as many
 evaluations as wanted, and runs are spent on what it leaves. The answer has no bias whatever the
@@ -21,15 +21,15 @@ from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_count, check_flags, expect
 from jaxclear.ground.printing import with_error, with_text_repr
 from jaxclear.studies.answer import RESPONSE, AbstractAnswer, Column, Stated, means_and_deviations
-from jaxclear.studies.endless import refuse_endless, successes
+from jaxclear.studies.infinite_responses import refuse_infinite, successes
 from jaxclear.studies.limit_state import AbstractLimitState, check_limit, system_margin
+from jaxclear.studies.run_warnings import sentences_among
 from jaxclear.studies.sampling import all_values
 from jaxclear.studies.statistics.scrambled import deviation_of_moments, student
 from jaxclear.studies.store.batch import evaluate_all
 from jaxclear.studies.store.store import open_store
 from jaxclear.studies.surface.control_variate import Mean, normal_blocks, regressed
 from jaxclear.studies.surface.response_surface import ResponseSurface
-from jaxclear.studies.warned import sentences_among
 
 # Evaluations of the surface: so many scramblings of so many points, so many at once.
 SURFACE_SCRAMBLINGS, SURFACE_POINTS, TOGETHER = 16, 8192, 1024
@@ -50,7 +50,7 @@ class CorrectedStatistic(NamedTuple):
         return with_error(self.value, self.error)
 
 
-class Corrected(AbstractAnswer):
+class CorrectedStatistics(AbstractAnswer):
     """Means, standard deviations and probabilities of failing from a surface and fresh runs.
 
     `means` and `deviations` are by response, `probabilities` by the names of the limits. `failed`
@@ -99,7 +99,7 @@ class Corrected(AbstractAnswer):
 
 
 @answering
-def corrected(
+def corrected_statistics(
     surface: ResponseSurface,
     samples: int = 32,
     *,
@@ -108,7 +108,7 @@ def corrected(
     seed: int = 1,
     store: str | Path | None = None,
     progress_bar: bool = False,
-) -> Corrected:
+) -> CorrectedStatistics:
     """Statistics of a problem from its surface and new runs that remove the surface's bias.
 
     Args:
@@ -122,25 +122,25 @@ def corrected(
         progress_bar: whether to show the progress; False by default.
 
     Returns:
-        The `Corrected`.
+        The `CorrectedStatistics`.
 
     Raises:
         ValueError: if an argument is wrong.
     """
     expect(surface, ResponseSurface, "what is corrected", "what jaxclear.surface gives")
-    check_count("samples of corrected", samples)
-    check_count("scramblings of corrected", scramblings, at_least=FEWEST)
-    check_count("seed of corrected", seed, at_least=0)
-    check_flags("corrected", progress_bar=progress_bar)
+    check_count("samples of corrected_statistics", samples)
+    check_count("scramblings of corrected_statistics", scramblings, at_least=FEWEST)
+    check_count("seed of corrected_statistics", seed, at_least=0)
+    check_flags("corrected_statistics", progress_bar=progress_bar)
     problem, limits = surface.problem, dict(limits or {})
     for limit in limits.values():
-        check_limit(limit, problem.response_names, "corrected")
+        check_limit(limit, problem.response_names, "corrected_statistics")
     normal = normal_blocks(scramblings, samples, len(problem.names), (seed, 0))
     values = jnp.asarray(all_values(problem, normal))
     with open_store(store, "a corrected surface", problem):
         result = evaluate_all(problem, values, progress_bar=progress_bar, label="corrected")
     responses = {name: np.asarray(result.responses[name], float) for name in problem.response_names}
-    refuse_endless(problem, responses, "mean or deviation", "jaxclear.monte_carlo serves")
+    refuse_infinite(problem, responses, "mean or deviation", "jaxclear.monte_carlo serves")
     good, _ = successes(problem, result.outcome, responses)
     many = normal_blocks(SURFACE_SCRAMBLINGS, SURFACE_POINTS, len(problem.names), (seed, 1))
     there, free = _evaluated(surface, np.asarray(values)), _of_normal(surface, many)
@@ -159,7 +159,9 @@ def corrected(
         probabilities[name] = _mean(*parts, _fails(limit, free), weight, unseen)
     statistics = means, deviations, probabilities
     counts = len(values), int((~good).sum()), scramblings
-    return Corrected(surface, *statistics, *counts, sentences_among(problem, result.checks, good))
+    return CorrectedStatistics(
+        surface, *statistics, *counts, sentences_among(problem, result.checks, good)
+    )
 
 
 @eqx.filter_jit

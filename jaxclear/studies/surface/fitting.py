@@ -14,6 +14,7 @@ import numpy as np
 from jaxclear.integrators import Outcome
 from jaxclear.studies.experiment import SampleResult
 from jaxclear.studies.problem import Problem
+from jaxclear.studies.run_warnings import sentences_among
 from jaxclear.studies.surface.polynomials import (
     MOST_TERMS,
     levels,
@@ -22,7 +23,6 @@ from jaxclear.studies.surface.polynomials import (
     products,
 )
 from jaxclear.studies.surface.response_surface import ResponseSurface
-from jaxclear.studies.warned import sentences_among
 
 # Singular values below this share of the largest carry no number.
 RANK = 1e-10

@@ -19,8 +19,8 @@ from jaxtyping import Array, Float
 
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_count, check_flags, check_name, check_number, expect
-from jaxclear.studies.endless import refuse_endless
 from jaxclear.studies.experiment import SampleResult
+from jaxclear.studies.infinite_responses import refuse_infinite
 from jaxclear.studies.monte_carlo import MonteCarlo
 from jaxclear.studies.problem import Problem
 from jaxclear.studies.sampling import all_values
@@ -130,7 +130,7 @@ def surface(
         values = drawn(problem, runs, over, seed)
         result, gradients = run(problem, values, slopes=slopes, progress_bar=progress_bar)
         lacking = ""
-    refuse_endless(problem, result.responses, "surface", INSTEAD)
+    refuse_infinite(problem, result.responses, "surface", INSTEAD)
     through = fitted(problem, values, result, degree=degree, gradients=gradients)
     return dataclasses.replace(through, unreached=lacking)
 

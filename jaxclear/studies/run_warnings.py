@@ -30,7 +30,7 @@ def any_warning(checks: Checks, runs: int) -> np.ndarray:
     return codes_of(checks, runs) != 0
 
 
-def warned_of(problem: Problem, response: str, checks: Checks, runs: int) -> np.ndarray:
+def warns_about(problem: Problem, response: str, checks: Checks, runs: int) -> np.ndarray:
     """Whether each run carries a warning that concerns a response of the problem, (runs,)."""
     return concerning(problem, response, codes_of(checks, runs)) != 0
 

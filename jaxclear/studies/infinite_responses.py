@@ -19,7 +19,7 @@ RULE_OF_THREE = 3.0
 INSTEAD = "ask for a quantile, or for the share of samples beyond a limit"
 
 
-def answered(problem: Problem, responses: Mapping[str, Any]) -> np.ndarray:
+def has_answer(problem: Problem, responses: Mapping[str, Any]) -> np.ndarray:
     """Whether each sample (samples,) has an answer in each of the responses: a finite number, or an
     infinite one where that is an answer."""
     parts = [
@@ -34,7 +34,7 @@ def successes(
 ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """Whether each sample (samples,) reached its end with an answer in each of these responses; and
     the responses, nan in samples that did not: what failed has no number at all."""
-    good = (np.asarray(outcome) == Outcome.REACHED) & answered(problem, responses)
+    good = (np.asarray(outcome) == Outcome.REACHED) & has_answer(problem, responses)
     return good, {name: np.where(good, values, np.nan) for name, values in responses.items()}
 
 
@@ -45,13 +45,13 @@ def why_unanswered(problem: Problem, outcome: Any, ended: Any) -> str:
     return problem.description.ending(outcome, ended)
 
 
-def endless_sentences(problem: Problem, responses: Mapping[str, Any]) -> list[str]:
+def infinite_messages(problem: Problem, responses: Mapping[str, Any]) -> list[str]:
     """A sentence for each response that is infinite in some samples."""
     texts = {name: _words(problem, name, values) for name, values in responses.items()}
     return [f'"{name}" {words}.' for name, words in texts.items() if words]
 
 
-def refuse_endless(
+def refuse_infinite(
     problem: Problem, responses: Mapping[str, Any], what: str, instead: str = INSTEAD
 ) -> None:
     """Raises `ValueError` where one of the responses has infinite values (samples,), of which there

@@ -34,10 +34,10 @@ from jaxclear.integrators import NonColliding
 from jaxclear.multibody import contact_point, kinematics
 from jaxclear.multibody.assembly import ready, ready_from
 from jaxclear.multibody.contact_point import laws_now
+from jaxclear.multibody.length_scales import narrowest_gap
 from jaxclear.multibody.magnitudes import UnusualMagnitude
 from jaxclear.multibody.mechanism import Mechanism, rebuilt
 from jaxclear.multibody.newton import blocks_of, closed
-from jaxclear.multibody.reach import narrowest_gap
 from jaxclear.multibody.start_equations import (
     LOOP,
     START,
@@ -70,7 +70,7 @@ class Pressed(NamedTuple):
 
 
 @answering
-def seated(mechanism: Mechanism, worn: Any = None) -> State:
+def resting_state(mechanism: Mechanism, worn: Any = None) -> State:
     """An initial state in which every journal rests in its bearing.
 
     A run from it begins without a fall through the clearance. Each journal rests where the reaction
@@ -86,13 +86,13 @@ def seated(mechanism: Mechanism, worn: Any = None) -> State:
             surfaces.
 
     Returns:
-        A `State`, for `simulate`, `settled`, `wear_life` or a `Problem`.
+        A `State`, for `simulate`, `steady_cycle`, `wear_life` or a `Problem`.
 
     Raises:
         ValueError: if for some joint it is not known where a load presses it, or no rest is found.
     """
     check_double_precision()
-    expect(mechanism, Mechanism, "what is seated", "a jaxclear.Mechanism")
+    expect(mechanism, Mechanism, "the argument of resting_state", "a jaxclear.Mechanism")
     mechanism = with_quantities(mechanism)
     surfaces = initial_depths(mechanism, worn)
     if not mechanism.topology.clearances:

@@ -1,4 +1,4 @@
-"""The settled cycle of a machine: `jaxclear.settled`.
+"""The settled cycle of a machine: `jaxclear.steady_cycle`.
 
 A machine that is set down begins with a motion of its own, a journal that falls through its play.
 After some cycles it ends each one as it began it, or it never does: then a cycle is known by means.
@@ -37,7 +37,7 @@ from jaxclear.studies.life.settling import (
 from jaxclear.studies.problem import Problem
 
 
-class Settled(AbstractAnswer):
+class SteadyCycle(AbstractAnswer):
     """The settled cycle. `settling` holds all cycles that were run, `run` is the last of them,
     `worn` the surfaces on which each began; `tolerance` [1] as it was asked for.
     """
@@ -130,8 +130,8 @@ class Settled(AbstractAnswer):
 
 
 @answering
-def settled(
-    asked: Mechanism | Problem,
+def steady_cycle(
+    subject: Mechanism | Problem,
     period: float | None = None,
     *,
     state: State | None = None,
@@ -139,7 +139,7 @@ def settled(
     cycles: int = 20,
     progress_bar: bool = False,
     throw: bool = True,
-) -> Settled:
+) -> SteadyCycle:
     """Run cycle after cycle until one is periodic.
 
     Each cycle continues the one before; worn surfaces are reset to their depth at the start. A
@@ -149,30 +149,30 @@ def settled(
     half of the cycles is averaged, with its scatter, as chaotic motion needs.
 
     Args:
-        asked: a `Mechanism`, or a `Problem` whose duration is the period, at its nominal values.
+        subject: a `Mechanism`, or a `Problem` whose duration is the period, at its nominal values.
         period: period of a mechanism [s], > 0; None for a problem.
-        state: the `State` at the beginning of the first cycle, such as that of `jaxclear.seated`;
-            None (default) for the mechanism's own.
+        state: the `State` at the beginning of the first cycle, such as that of
+            `jaxclear.resting_state`; None (default) for the mechanism's own.
         tolerance: largest difference [1], > 0; 1e-3 by default.
         cycles: largest number of cycles; 20 by default.
         progress_bar: whether to show the progress; False by default.
         throw: whether a cycle that ends early raises an error; True by default.
 
     Returns:
-        The `Settled`.
+        The `SteadyCycle`.
 
     Raises:
         ValueError: if an argument is wrong, or drives do not repeat after a period.
         SimulationError: if a cycle ends early, unless `throw=False`.
     """
-    problem = as_problem("settled", asked, period, state)
-    check_number("tolerance of settled", tolerance, above=0)
-    check_count("cycles of settled", cycles, 1)
-    check_flags("settled", progress_bar=progress_bar, throw=throw)
+    problem = as_problem("steady_cycle", subject, period, state)
+    check_number("tolerance of steady_cycle", tolerance, above=0)
+    check_count("cycles of steady_cycle", cycles, 1)
+    check_flags("steady_cycle", progress_bar=progress_bar, throw=throw)
     values = problem.nominal()
     begin, worn = first_state(problem, values)
     needed = cycle_request(problem, values)
-    check_period("settled", problem, float(begin.time), cycles)
+    check_period("steady_cycle", problem, float(begin.time), cycles)
     runs: list[Trajectory] = []
 
     def one(motion, surfaces):
@@ -185,10 +185,10 @@ def settled(
         ready = lambda c: not restless(problem, float(c.end.time) - float(problem.duration))
         settling = settle(one, begin, worn, Patience(tolerance, 1.0, cycles), ready)
     run = eqx.tree_at(lambda r: r.history.mechanism, runs[0], problem.seen(problem.setting(values)))
-    result = Settled(problem, settling, run, worn, tolerance)
+    result = SteadyCycle(problem, settling, run, worn, tolerance)
     if settling.last.fault:
         if throw:
             raise SimulationError(result.sentence(), runs[0])
         return result
-    check_period("settled", problem, float(settling.last.end.time) - float(problem.duration))
+    check_period("steady_cycle", problem, float(settling.last.end.time) - float(problem.duration))
     return result
