@@ -173,6 +173,7 @@ SENTENCES = {
     "Advice",
     "Failed",
     "Fmu",
+    "Largest",
     "PointingError",
     "SteadyCycle",
     "Unverified",
