@@ -1,5 +1,6 @@
 """The integrator of a study that asks for none: steps of a fixed length, explicit where contacts
-allow it, implicit where friction or damping answer faster than explicit steps should be long.
+allow it, implicit where films, friction or damping answer faster than explicit steps should be
+long.
 
 It is chosen before anything is compiled, from the nominal numbers, so that all samples of a study
 are run alike.
@@ -41,26 +42,31 @@ def usual_integrator(mechanism: Mechanism, duration: Any) -> tuple[AbstractInteg
         )
     explicit = FixedStep()
     step = float(explicit.step)
-    if not _touches(mechanism) or is_traced((mechanism, duration)):
+    films = [name for name in mechanism.topology.clearances if _is_filled(mechanism, name)]
+    if not (films or _touches(mechanism)) or is_traced((mechanism, duration)):
         return explicit, ""
     try:
         rates = contact_rates(mechanism, float(duration), step)
     except ValueError:
         # It cannot start; the run says why.
         return explicit, ""
-    if not rates:
+    # Films are there so that nothing touches behind them.
+    rates = {name: rate for name, rate in rates.items() if name not in films}
+    if not (rates or films):
         return explicit, ""
     bristles = [joint for joint in rates if _bristles(mechanism, joint)]
-    allowed, cause = _longest(rates, step)
-    contact = max(rate.contact for rate in rates.values())
+    allowed, cause = _longest(rates, step) if rates else (step, "")
+    contact = max((rate.contact for rate in rates.values()), default=0.0)
     share = BRISTLE_SHARE if bristles else IMPLICIT_SHARE
     implicit = min(step, share / contact) if contact > 0 else step
     if bristles:
         cause = f'friction in joint "{bristles[0]}" remembers deflections that settle at once'
+    elif films:
+        cause = f'the film in joint "{films[0]}" answers the faster the thinner it is'
     elif allowed >= step:
         return explicit, ""
     usual = f"too fast for the usual explicit steps of {step:.3g} s."
-    if bristles or _rounded(allowed) < implicit:
+    if bristles or films or _rounded(allowed) < implicit:
         sentence = f"Run with integrator.ImplicitStep({implicit:.3g}, rebound=1.0)"
         return ImplicitStep(implicit, rebound=1.0), f"{sentence}, because {cause}, {usual}"
     sentence = f"Run with integrator.FixedStep({_rounded(allowed):.3g})"
@@ -104,6 +110,11 @@ def _touches(mechanism: Mechanism) -> bool:
         for law in mechanism.connections[joint].joint.contact_laws()
     )
     return any(law.compliant for law in laws)
+
+
+def _is_filled(mechanism: Mechanism, joint: str) -> bool:
+    """Whether a film fills the gap of a joint."""
+    return mechanism.connections[joint].joint.gap_load(joint) is not None
 
 
 def _bristles(mechanism: Mechanism, joint: str) -> bool:
