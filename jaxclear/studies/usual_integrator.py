@@ -1,5 +1,6 @@
 """The integrator of a study that asks for none: steps of a fixed length, explicit where contacts
-allow it, implicit where friction or damping answer faster than explicit steps should be long.
+allow it, implicit where friction, damping or a film answer faster than explicit steps should be
+long.
 
 It is chosen before anything is compiled, from the nominal numbers, so that all samples of a study
 are run alike.
@@ -51,16 +52,20 @@ def usual_integrator(mechanism: Mechanism, duration: Any) -> tuple[AbstractInteg
     if not rates:
         return explicit, ""
     bristles = [joint for joint in rates if _bristles(mechanism, joint)]
+    joints = mechanism.connections
+    films = [name for name in rates if joints[name].joint.gap_load(name) is not None]
     allowed, cause = _longest(rates, step)
     contact = max(rate.contact for rate in rates.values())
     share = BRISTLE_SHARE if bristles else IMPLICIT_SHARE
     implicit = min(step, share / contact) if contact > 0 else step
     if bristles:
         cause = f'friction in joint "{bristles[0]}" remembers deflections that settle at once'
+    elif films:
+        cause = f'the film in joint "{films[0]}" damps the faster the thinner it is'
     elif allowed >= step:
         return explicit, ""
     usual = f"too fast for the usual explicit steps of {step:.3g} s."
-    if bristles or _rounded(allowed) < implicit:
+    if bristles or films or _rounded(allowed) < implicit:
         sentence = f"Run with integrator.ImplicitStep({implicit:.3g}, rebound=1.0)"
         return ImplicitStep(implicit, rebound=1.0), f"{sentence}, because {cause}, {usual}"
     sentence = f"Run with integrator.FixedStep({_rounded(allowed):.3g})"
