@@ -1,5 +1,5 @@
 """The integrator of a study that asks for none: steps of a fixed length, explicit where contacts
-allow it, implicit where friction, damping or a film answer faster than explicit steps should be
+allow it, implicit where films, friction or damping answer faster than explicit steps should be
 long.
 
 It is chosen before anything is compiled, from the nominal numbers, so that all samples of a study
@@ -42,26 +42,27 @@ def usual_integrator(mechanism: Mechanism, duration: Any) -> tuple[AbstractInteg
         )
     explicit = FixedStep()
     step = float(explicit.step)
-    if not _touches(mechanism) or is_traced((mechanism, duration)):
+    films = [name for name in mechanism.topology.clearances if _is_filled(mechanism, name)]
+    if not (films or _touches(mechanism)) or is_traced((mechanism, duration)):
         return explicit, ""
     try:
         rates = contact_rates(mechanism, float(duration), step)
     except ValueError:
         # It cannot start; the run says why.
         return explicit, ""
-    if not rates:
+    # Films are there so that nothing touches behind them.
+    rates = {name: rate for name, rate in rates.items() if name not in films}
+    if not (rates or films):
         return explicit, ""
     bristles = [joint for joint in rates if _bristles(mechanism, joint)]
-    joints = mechanism.connections
-    films = [name for name in rates if joints[name].joint.gap_load(name) is not None]
-    allowed, cause = _longest(rates, step)
-    contact = max(rate.contact for rate in rates.values())
+    allowed, cause = _longest(rates, step) if rates else (step, "")
+    contact = max((rate.contact for rate in rates.values()), default=0.0)
     share = BRISTLE_SHARE if bristles else IMPLICIT_SHARE
     implicit = min(step, share / contact) if contact > 0 else step
     if bristles:
         cause = f'friction in joint "{bristles[0]}" remembers deflections that settle at once'
     elif films:
-        cause = f'the film in joint "{films[0]}" damps the faster the thinner it is'
+        cause = f'the film in joint "{films[0]}" answers the faster the thinner it is'
     elif allowed >= step:
         return explicit, ""
     usual = f"too fast for the usual explicit steps of {step:.3g} s."
@@ -109,6 +110,11 @@ def _touches(mechanism: Mechanism) -> bool:
         for law in mechanism.connections[joint].joint.contact_laws()
     )
     return any(law.compliant for law in laws)
+
+
+def _is_filled(mechanism: Mechanism, joint: str) -> bool:
+    """Whether a film fills the gap of a joint."""
+    return mechanism.connections[joint].joint.gap_load(joint) is not None
 
 
 def _bristles(mechanism: Mechanism, joint: str) -> bool:

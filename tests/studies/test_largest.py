@@ -47,11 +47,22 @@ def test_ends_of_the_range_and_runs_that_fail_are_said():
         "the largest of its range" in jc.largest(problem(), "play", limit, (1e-6, 2e-6)).sentence()
     )
     none = jc.largest(problem(), "play", limit, (1e-3, 2e-3))
-    assert np.isnan(none.value) and "no value that keeps the limit" in none.sentence()
+    assert np.isnan(none.value) and "at neither end of its range" in none.sentence()
     broken = problem(lambda play, shift: {"error": jnp.where(play > 6e-5, jnp.nan, play + shift)})
     answer = jc.largest(broken, "play", limit, (10e-6, 300e-6))
+    sentence = jc.largest(broken, "play", limit, (7e-5, 300e-6)).sentence()
+    assert "% of the runs fail" in sentence
     # No more than 1 % of the parts lie beyond where none works.
     assert answer.value == pytest.approx(60e-6 - norm.ppf(0.99) * SIGMA, abs=1e-6)
+
+
+def test_a_rare_share_allows_no_more_failures_than_itself():
+    """Up to 1 % of the runs might fail, of a share of 0.5 % that may be beyond the bound."""
+    rare = jc.limit.Probability("error", above=1.0, at_most=5e-3)
+    broken = problem(lambda play, shift: {"error": jnp.where(shift > 50e-6, jnp.nan, play + shift)})
+    # A shift beyond 2.5 deviations: 0.62 %.
+    answer = jc.largest(broken, "play", rare, (10e-6, 300e-6), samples=2048)
+    assert np.isnan(answer.value) and "% of the runs fail" in answer.sentence()
 
 
 @pytest.mark.parametrize(
@@ -63,6 +74,8 @@ def test_ends_of_the_range_and_runs_that_fail_are_said():
             ("play", jc.limit.Quantile("error", at_most=1.0, share=0.9), (1.0, 0.0)),
             "largest nominal",
         ),
+        # Of 256 samples none is beyond what 1 of 10 000 exceed: any value seemed to keep it.
+        (("play", jc.limit.Probability("error", above=1.0, at_most=1e-4), (0.0, 1.0)), "too few"),
         (("play", 3.0, (0.0, 1.0)), "must be members of jaxclear.limit"),
     ],
 )

@@ -68,6 +68,14 @@ def test_whole_turns_are_no_change_of_place():
         jc.steady_cycle(slider_crank("ideal"), 0.125, cycles=2)
 
 
+def test_cycles_given_as_a_period_are_refused_before_anything_runs():
+    """Runs over the 1e5 s chose an integrator first, without end."""
+    rig = slider_crank(clearance=1e-4)
+    for study in (jc.steady_cycle, lambda *given: jc.wear_life(*given, cycles=10)):
+        with pytest.raises(ValueError, match="cycles are given by name"):
+            study(rig, 1e5)
+
+
 def test_a_period_of_several_cycles_is_said():
     """Cycles given in the place of the period."""
     with pytest.warns(

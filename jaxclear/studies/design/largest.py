@@ -18,15 +18,16 @@ from jaxclear.studies.design.population import Direct, points
 from jaxclear.studies.design.question import Question, checked_limits, freedom_of
 from jaxclear.studies.design.result import FEW_FAILED
 from jaxclear.studies.design.runs import BATCH, Runs
-from jaxclear.studies.design.verification import Verifier
+from jaxclear.studies.design.verification import GROUPS, Verifier
 from jaxclear.studies.problem import Problem
 from jaxclear.studies.run_warnings import sentences
+from jaxclear.studies.statistics.summary import samples_that_bound
 from jaxclear.studies.store.store import stored
 
 
 class Trial(NamedTuple):
     """A trial at a `value` of the variable: the limited `number` with its 95 % `error`, by how much
-    both are beyond the bound (`excess`, inf where more than 1 % of the runs fail), the share of
+    both are beyond the bound (`excess`, inf where too many runs fail), the share of
     `failed` runs, and what runs warn of."""
 
     value: float
@@ -38,8 +39,8 @@ class Trial(NamedTuple):
 
 
 class Largest(AbstractAnswer):
-    """The largest `value` of a variable at which a limit holds; nan where it does not hold at the
-    smaller end of the range. `trials` are sorted by value; `best` is that of the answer."""
+    """The largest `value` of a variable at which a limit holds; nan where it holds at neither end
+    of the range. `trials` are sorted by value; `best` is that of the answer."""
 
     problem: Problem
     limit: AbstractLimit
@@ -70,13 +71,18 @@ class Largest(AbstractAnswer):
         side = "at most" if self.limit.upper() else "at least"
         bound = f"{side} {as_written(self.limit.bound())} {units[1]}".rstrip()
         best = self.best
-        shown = self.trials[0] if best is None else best
-        number = f"{with_error(shown.number, shown.error)} {units[1]}".rstrip()
-        there = f"there the {self.limit.words()} is {number}"
-        value = f"{in_few(shown.value, 4)} {units[0]}".rstrip()
+
+        def result(trial):
+            if trial.failed > _allowed_failures(self.limit):
+                return f"{100 * trial.failed:.3g} % of the runs fail"
+            number = f"{with_error(trial.number, trial.error)} {units[1]}".rstrip()
+            return f"the {self.limit.words()} is {number}"
+
+        place = lambda trial: f"{in_few(trial.value, 4)} {units[0]}".rstrip()
         if best is None:
-            text = f"{self.variable} has no value that keeps the limit: at {value}, the smallest, "
-            return f"{text}{there.removeprefix('there ')}, not {bound}."
+            ends = " and ".join(f"at {place(t)} {result(t)}" for t in self.trials)
+            return f"{self.variable} keeps the limit ({bound}) at neither end of its range: {ends}."
+        value, there = place(best), f"there {result(best)}"
         if best is self.trials[-1]:
             return f"{self.variable} may be {value}, the largest of its range: {there} ({bound})."
         return f"{self.variable} may be {value} at most: {there} ({bound}), by {self.runs} runs."
@@ -93,6 +99,11 @@ class Largest(AbstractAnswer):
         }
         warnings = () if self.best is None else self.best.warnings
         return Stated("largest value", columns, self.problem, warnings, labelled=False)
+
+
+def _allowed_failures(limit: AbstractLimit) -> float:
+    """Share of the runs that may fail [1]."""
+    return min(FEW_FAILED, limit.rarest())
 
 
 @answering
@@ -120,8 +131,10 @@ def largest(
         variable: name of the variable.
         limit: a member of `jaxclear.limit` other than `WorstCase`.
         between: smallest and largest mean, a pair in the unit of the variable.
-        accuracy: width of the last bracket relative to the answer [1], > 0; 0.01 by default.
-        samples: number of runs of each trial, >= 16; 256 by default.
+        accuracy: width of the last bracket relative to the answer [1], > 0 and < 1; 0.01 by
+            default.
+        samples: number of runs of each trial, >= 16, and so many that some are beyond the bound
+            of a rare share; 256 by default, enough for a share of 0.03.
         seed: seed of the random numbers; 0 by default.
         store: folder that keeps the runs; None (default) for none.
         progress_bar: whether to show the progress; False by default.
@@ -130,7 +143,7 @@ def largest(
         The `Largest`.
 
     Raises:
-        ValueError: if an argument is wrong.
+        ValueError: if an argument is wrong, or samples are too few for the limit.
     """
     expect(problem, Problem, "the problem of largest", "a problem of jaxclear")
     check_name("variable", variable, problem.names, " in this problem")
@@ -141,8 +154,14 @@ def largest(
             "largest at samples: give a limit.Quantile or a limit.Probability."
         )
     freedom = freedom_of(problem, {variable: between}, None, [])
-    check_number("accuracy of largest", accuracy, above=0)
+    check_number("accuracy of largest", accuracy, above=0, below=1)
     check_count("samples of largest", samples, at_least=16)
+    needed = samples_that_bound(checked.rarest(), GROUPS)
+    if samples < needed:
+        raise ValueError(
+            f"samples of largest is {samples}, too few for the {checked.words()}: it must be at "
+            f"least {needed:.0f}."
+        )
     check_count("seed of largest", seed, at_least=0)
     check_flags("largest", progress_bar=progress_bar)
     question = Question(freedom, {}, (checked,), problem.inputs, np.ones(1))
@@ -154,7 +173,7 @@ def largest(
         first = runs.count
         place = np.array([freedom.place(0, value)])
         check = verifier.check(place, model, samples, seed, ())
-        lost = check.failed > FEW_FAILED * check.runs
+        lost = check.failed > _allowed_failures(checked) * check.runs
         excess = np.inf if lost else float(check.excess[0] + check.excess_errors[0])
         warnings = sentences(problem, runs.warned(first), [limit.response])
         numbers = float(check.numbers[0]), float(check.errors[0])

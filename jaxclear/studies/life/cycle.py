@@ -234,10 +234,12 @@ def check_cycle(what: str, problem: Any) -> None:
     expect(problem.experiment, RunExperiment, what, "a jaxclear.Problem of one cycle")
 
 
-def as_problem(owner: str, subject: Any, period: Any, state: State | None = None) -> Problem:
+def as_problem(
+    owner: str, subject: Any, period: Any, cycles: int, state: State | None = None
+) -> Problem:
     """The problem whose duration is one cycle: the one given, or a mechanism with its `period` [s],
     the `state` from which it begins and the responses that one asks of it. Raises `ValueError` with
-    a sentence."""
+    a sentence, also where drives do not repeat after a period and not after so many `cycles`."""
     if isinstance(subject, Problem):
         check_cycle(f"the first argument of {owner}", subject)
         if period is not None or state is not None:
@@ -250,9 +252,11 @@ def as_problem(owner: str, subject: Any, period: Any, state: State | None = None
     if period is None:
         raise ValueError(f"{owner} of a mechanism needs its period [s]: how long one cycle takes.")
     check_number(f"period of {owner}", period, "s", above=0)
-    problem = Problem(subject, usual_responses(subject), {}, duration=period, state=state)
-    warn_of_several(owner, problem)
-    return problem
+    # Before a problem looks for its integrator by runs, which are long where cycles are meant.
+    begins = float(state.begins) if isinstance(state, State) else 0.0
+    check_period(owner, subject, begins, float(period), cycles)
+    warn_of_several(owner, subject, begins, float(period))
+    return Problem(subject, usual_responses(subject), {}, duration=period, state=state)
 
 
 def usual_responses(mechanism: Mechanism) -> dict[str, Callable]:
@@ -343,13 +347,13 @@ def _size(values: Float[Array, "*batch n"]) -> Float[Array, " *batch"]:
     return safe_sqrt(jnp.sum(values * values, axis=-1))
 
 
-def restless(problem: Problem, start: float, period: float = 0.0) -> dict[str, tuple]:
-    """The drives that do not repeat from a time [s] to a `period` later, by default the problem's:
-    by joint, what they move it by [rad, m], and how far that is from where it was."""
-    ends, changes = start + (period or float(problem.duration)), {}
-    for name in problem.mechanism.driven:
-        joint = problem.mechanism.connections[name].joint
-        before, after = (_driven_to(joint, time) for time in (start, ends))
+def restless(mechanism: Mechanism, start: float, period: float) -> dict[str, tuple]:
+    """The drives that do not repeat from a time [s] to a `period` [s] later: by joint, what they
+    move it by [rad, m], and how far that is from where it was."""
+    changes = {}
+    for name in mechanism.driven:
+        joint = mechanism.connections[name].joint
+        before, after = (_driven_to(joint, time) for time in (start, start + period))
         poses = [joint.motion((q,)) for q in (before, after)]
         parts = [np.array([[*p.rotation[i], p.translation[i]] for i in range(3)]) for p in poses]
         away = float(np.linalg.norm(parts[1] - parts[0]))
@@ -370,36 +374,37 @@ def check_cycles(owner: str, cycles: Any) -> None:
     check_number(f"cycles of {owner}", cycles, above=0, at_most=MOST_CYCLES)
 
 
-def check_period(owner: str, problem: Problem, start: float, cycles: int = 1) -> None:
+def check_period(
+    owner: str, mechanism: Mechanism, start: float, period: float, cycles: int = 1
+) -> None:
     """Raises `ValueError` where a drive does not repeat over a cycle that begins at a time [s], nor
     over the last of so many: it may be on its way up to what it does for ever."""
-    later = restless(problem, start + (cycles - 1) * float(problem.duration))
-    for name, (moved, away) in restless(problem, start).items():
+    later = restless(mechanism, start + (cycles - 1) * period, period)
+    for name, (moved, away) in restless(mechanism, start, period).items():
         if name not in later:
             continue
-        unit = problem.mechanism.connections[name].joint.units[0]
-        turn = 2 * np.pi * float(problem.duration) / abs(moved)
+        unit = mechanism.connections[name].joint.units[0]
+        turn = 2 * np.pi * period / abs(moved)
         more = f" A turn of it takes {turn:.4g} s; cycles are given by name, cycles=..."
         raise ValueError(
             f'the drive of joint "{name}" moves it by {moved:.6g} {unit} in a period of '
-            f"{float(problem.duration):.6g} s, which leaves it {away:.2g} from where it was: give "
+            f"{period:.6g} s, which leaves it {away:.2g} from where it was: give "
             f"{owner} the period after which the drives repeat."
-            f"{more if unit == 'rad' and turn < problem.duration else ''}"
+            f"{more if unit == 'rad' and turn < period else ''}"
         )
 
 
-def warn_of_several(owner: str, problem: Problem) -> None:
+def warn_of_several(owner: str, mechanism: Mechanism, start: float, period: float) -> None:
     """Warns where all drives repeat after a part of the period already, as whole turns tell."""
-    start, period = float(problem.state.begins), float(problem.duration)
-    joints = [problem.mechanism.connections[name].joint for name in problem.mechanism.driven]
+    joints = [mechanism.connections[name].joint for name in mechanism.driven]
     turns = [
         (_driven_to(joint, start + period) - _driven_to(joint, start)) / (2 * np.pi)
         for joint in joints
         if joint.units[0] == "rad"
     ]
     times = int(np.gcd.reduce([round(abs(turn)) for turn in turns])) if turns else 0
-    parts = (restless(problem, start + share * period, period / times) for share in LOOKS)
-    if times < 2 or restless(problem, start) or any(parts):
+    parts = (restless(mechanism, start + share * period, period / times) for share in LOOKS)
+    if times < 2 or restless(mechanism, start, period) or any(parts):
         return
     warn(
         f"the drives repeat after {period / times:.4g} s already, {times} times in the period of "

@@ -165,14 +165,15 @@ def steady_cycle(
         ValueError: if an argument is wrong, or drives do not repeat after a period.
         SimulationError: if a cycle ends early, unless `throw=False`.
     """
-    problem = as_problem("steady_cycle", subject, period, state)
     check_number("tolerance of steady_cycle", tolerance, above=0)
     check_count("cycles of steady_cycle", cycles, 1)
     check_flags("steady_cycle", progress_bar=progress_bar, throw=throw)
+    problem = as_problem("steady_cycle", subject, period, cycles, state)
+    mechanism, length = problem.mechanism, float(problem.duration)
     values = problem.nominal()
     begin, worn = first_state(problem, values)
     needed = cycle_request(problem, values)
-    check_period("steady_cycle", problem, float(begin.time), cycles)
+    check_period("steady_cycle", mechanism, float(begin.time), length, cycles)
     runs: list[Trajectory] = []
 
     def one(motion, surfaces):
@@ -182,7 +183,7 @@ def steady_cycle(
         return result
 
     with progress.bar(progress_bar, "settling"):
-        ready = lambda c: not restless(problem, float(c.end.time) - float(problem.duration))
+        ready = lambda c: not restless(mechanism, float(c.end.time) - length, length)
         settling = settle(one, begin, worn, Patience(tolerance, 1.0, cycles), ready)
     run = eqx.tree_at(lambda r: r.history.mechanism, runs[0], problem.seen(problem.setting(values)))
     result = SteadyCycle(problem, settling, run, worn, tolerance)
@@ -190,5 +191,5 @@ def steady_cycle(
         if throw:
             raise SimulationError(result.sentence(), runs[0])
         return result
-    check_period("steady_cycle", problem, float(settling.last.end.time) - float(problem.duration))
+    check_period("steady_cycle", mechanism, float(settling.last.end.time) - length, length)
     return result

@@ -99,19 +99,21 @@ def wear_life(
             f"wear_life is given a period of {float(period):g} s and no number of cycles: give it "
             "by name, cycles=..., or hours=... of operation."
         )
-    problem = as_problem("wear_life", subject, period)
     if hours is not None:
         check_number("hours of wear_life", hours, "h", above=0)
         if cycles is not None:
             raise ValueError("wear_life is given cycles and hours; leave one of them out.")
-        cycles = max(HOUR * hours / float(problem.duration), 1.0)
-    length = 1e6 if cycles is None else cycles
-    check_cycles("wear_life", length)
     check_number("accuracy of wear_life", accuracy, above=0)
     if jump is not None:
         check_number("jump of wear_life", jump, at_least=1)
     check_count("max_cycles of wear_life", max_cycles)
     check_flags("wear_life", progress_bar=progress_bar, verify=verify)
+    length = 1e6 if cycles is None else cycles
+    check_cycles("wear_life", length)
+    problem = as_problem("wear_life", subject, period, max_cycles)
+    if hours is not None:
+        length = max(HOUR * hours / float(problem.duration), 1.0)
+        check_cycles("wear_life", length)
     check_wear_problem(problem)
     with open_store(store, "a wear life", problem), progress.bar(progress_bar, "wear life"):
         rates = Rates(problem, problem.nominal(), Patience(SETTLED, accuracy, max_cycles))
@@ -140,13 +142,14 @@ def lived(
 ) -> WearLife:
     """The life, and what is kept of it; by steps of these `lengths` if they are given."""
     row, cells, problem = rates.first_row, rates.cells, rates.problem
-    check_period("wear_life", problem, float(rates.motion.time), rates.patience.most)
+    mechanism, period = problem.mechanism, float(problem.duration)
+    check_period("wear_life", mechanism, float(rates.motion.time), period, rates.patience.most)
     try:
         rate = rates.evaluate(row, set_down=problem.state.motion is None)
     except CycleFailed as reason:
         raise SimulationError(f"The life has no first cycle: {reason}", rates.last_run) from None
     ended = float(rate.settled.last.end.time)
-    check_period("wear_life", problem, ended - float(problem.duration))
+    check_period("wear_life", mechanism, ended - period, period)
     start = Node.first(row, rate, cells)
     machine = Machine(rates.evaluate, rates.carry, cells, rates.halves, progress.advance)
     if lengths:
