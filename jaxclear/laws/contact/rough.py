@@ -45,7 +45,7 @@ class Rough(AbstractContactLaw):
     Asperities press from 5 sigma before touch on, from where the indentation counts. Friction acts
     on this force alone, not on the film's. Within 0.45 % of the integral of Greenwood and Tripp's
     pressure; once mean planes overlap it grows linearly. The film is not taken as thinner than 0.4
-    sigma, the mean gap of surfaces whose mean planes meet. For a `PlanarJournalBearing` with a film.
+    sigma, the mean gap where mean planes meet. For a `PlanarJournalBearing` with a film.
 
     Args:
         law: contact law of the smooth parts, an `AbstractContactLaw`; default: `Johnson()`.
