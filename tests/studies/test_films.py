@@ -74,8 +74,8 @@ def test_the_spread_of_a_film():
 
 @pytest.mark.slow
 def test_the_cheapest_clearance_that_keeps_its_film():
-    """A film above 8.8 um in 99.9 % of the bearings, clearances normal, cut off at 3 deviations: the
-    tolerance fills the clearances that keep it, whose middle is above the best clearance."""
+    """A film above 8.8 um in 99.9 % of the bearings, clearances normal, cut off at 3 deviations:
+    the tolerance fills the clearances that keep it, whose middle is above the best clearance."""
     solved = problem(integrator=jc.integrator.ImplicitStep(1e-3))
     answer = jc.design(
         solved,
