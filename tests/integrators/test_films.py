@@ -16,7 +16,7 @@ MASS, RADIUS, LENGTH, CLEARANCE, SPIN = 2.0, 10e-3, 10e-3, 0.1e-3, 200.0
 DRY = jc.contact.Hertz(stiffness=1e10)
 
 
-def rotor(film, clearance=CLEARANCE, start=(0.3, -0.5), load=MASS * 9.81, spin=SPIN):
+def rotor(film, clearance=CLEARANCE, start=(0.3, -0.5), load=MASS * 9.81, spin=SPIN, push=0.0):
     """A rigid rotor on a film under a load along -y."""
     sizes = {"bearing_radius": RADIUS, "clearance": clearance, "length": LENGTH}
     gap = jc.clearance.PlanarJournalBearing(DRY, **sizes, film=film)
@@ -25,7 +25,7 @@ def rotor(film, clearance=CLEARANCE, start=(0.3, -0.5), load=MASS * 9.81, spin=S
         {"B": jc.Connection(gap, "ground", "rotor")},
         {"load": jc.load.Force(jc.Marker("rotor"), (0.0, -load))},
         start={"rotor": (start[0] * clearance, start[1] * clearance, 0.0)},
-        speeds={"rotor": (0.0, 0.0, spin)},
+        speeds={"rotor": (push, 0.0, spin)},
     )
 
 
@@ -89,6 +89,21 @@ def test_reports_contain_the_film():
     power = jc.response.FilmFriction("B")
     end = jc.simulate(rotor(film, start=(x / CLEARANCE, y / CLEARANCE)), 1e-3, save=9, verify=False)
     assert float(power(end)) == pytest.approx(float(-torque) * SPIN, rel=5e-3)
+
+
+@pytest.mark.parametrize("way", ["adaptive", "fixed", "implicit"])
+def test_a_film_takes_all_of_a_push_between_two_saving_times(way):
+    """Its power at saving times said 150 times too much of a slider-crank that began with one."""
+    film = jc.film.Reynolds(viscosity=0.05)
+    pushed = rotor(film, start=(0.0, 0.0), load=0.0, spin=0.0, push=0.02)
+    integrator = {
+        "adaptive": jc.integrator.Adaptive(),
+        "fixed": jc.integrator.FixedStep(2e-5),
+        "implicit": jc.integrator.ImplicitStep(2e-5, rebound=1.0),
+    }[way]
+    run = jc.simulate(pushed, 0.05, save=3, integrator=integrator, verify=False)
+    taken = float(jc.response.FilmFriction("B")(run)) * 0.05
+    assert taken == pytest.approx(0.5 * MASS * 0.02**2, rel=1e-3)
 
 
 def test_a_stiff_film_is_reported_at_the_speed_to_which_its_steps_lead():
