@@ -210,6 +210,10 @@ def test_methods_that_disagree_say_so():
         "r", "v", {"regression": Estimate(1.0, 0.1), "pathwise": Estimate(5.0, 100.0)}
     )
     assert not vague.trustworthy and "the error of pathwise is too large" in vague.verdict
+    # Paths miss what jumps, and are sure of it; the two that see it agree.
+    jumps = {"pathwise": Estimate(1.0, 0.05), "differences": Estimate(8.8, 0.8)}
+    seen = confirmed("r", "v", jumps | {"regression": Estimate(8.9, 3.5)})
+    assert seen.trustworthy and seen.value == 8.9 and seen.method == "regression"
     nought = confirmed(
         "r", "v", {"regression": Estimate(-1e-3, 1e-2), "differences": Estimate(0.0, 0.0)}
     )
