@@ -219,7 +219,7 @@ class JointFriction(AbstractStateLoad):
     def states(self):
         if self.transition_speed is not None:
             return ()
-        return (LoadState("bristle", "rad", most=self._yields),)
+        return (LoadState("bristle", "rad", saturation=self._yields),)
 
     def __check_init__(self):
         check_function_of_time(self, "torque")

@@ -22,7 +22,7 @@ from jaxclear.formulations.base import (
     clearance_contact,
 )
 from jaxclear.formulations.contact_rows import TimeStep, contact_points, split
-from jaxclear.formulations.films_over_step import AXES, films_of
+from jaxclear.formulations.films_over_step import AXES, film_losses, films_of
 from jaxclear.formulations.impact_speed import ContactMotion, remembered
 from jaxclear.formulations.joint_friction import friction_losses, rubbing
 from jaxclear.formulations.laws_over_step import PastSlip
@@ -108,7 +108,9 @@ class CompliantContact(AbstractFormulation):
         return with_damping_ratios(system)
 
     def impulses(self, system):
-        return tuple((name, 1) for name in (*system.bearings, *rubbing_joints(system)))
+        # Of a film the energy that it has taken stands there [J].
+        every = (*system.bearings, *films_of(system), *rubbing_joints(system))
+        return tuple((name, 1) for name in every)
 
     def normal_impulses(self, system, name):
         return (0,) if name in dict(self.impulses(system)) else ()
@@ -152,7 +154,7 @@ class CompliantContact(AbstractFormulation):
         forces, solution, rubbing = joint_friction.solved(model, forces, q)
         reports = forces.reports
         normal = ([point.normal_force for point in own.points] for own in reports.values())
-        pressing = map(sp.total, normal)
+        pressing = [*map(sp.total, normal), *film_losses(system, forces)]
         rates = [
             *state_rate.coordinate_rates(system, q, v),
             *(a for accelerations in solution.accelerations for a in accelerations),

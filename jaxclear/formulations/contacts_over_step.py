@@ -16,7 +16,7 @@ from jaxclear.formulations.contact_rows import (
     split,
 )
 from jaxclear.formulations.delassus import ContactSolution, ImplicitContact
-from jaxclear.formulations.films_over_step import AXES, FilmOverStep, with_films
+from jaxclear.formulations.films_over_step import AXES, FilmOverStep, film_losses, with_films
 from jaxclear.formulations.impact_speed import ContactMotion, PerContact
 from jaxclear.formulations.laws_over_step import Averaging, SlipAtStart
 from jaxclear.formulations.model import Model, State
@@ -110,13 +110,13 @@ def passive_rates_over(
     # Of all that the speeds gain by contact, so also where an iteration ends with a pull.
     normal = [-own[0] for own in whole.per_contact(solution.forces)]
     pressing = [sp.total(own) for own in by_joint(system, normal)]
-    if not layout.wear and not layout.energies and not whole.joints:
+    if not (layout.wear or layout.energies or whole.joints or whole.films):
         return [*followed_rates(system, layout, free_motion.forces), *pressing], ()
     change = whole.middle.change_to(mean)
     acting = _acting_contacts(whole, solution, ends, change)
     reports = joint_reports(system, free_motion.poses, acting)
     forces = free_motion.forces._replace(reports=reports)
-    if layout.energies or whole.joints:
+    if layout.energies or whole.joints or whole.films:
         motion = unpack_motion(system, [*whole.middle.halfway, *whole.middle.predicted])
         motions = free_motion.forces.motions
         time, followed = whole.time_step.middle, forces.followed
@@ -126,6 +126,7 @@ def passive_rates_over(
             motions = kinematics.link_motions(system, *motion, time)
         forces = forces_at(system, motions, reports, *motion, time, followed)
         forces = with_films(forces, whole.films, solution)
+        pressing += film_losses(system, forces)
     accelerations, multipliers = (
         [sp.add(a, b) for a, b in zip(free, caused, strict=True)]
         for free, caused in (

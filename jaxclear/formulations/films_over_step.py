@@ -93,6 +93,19 @@ def films_of(system: System) -> dict[str, JournalFilm]:
     return {film_of(name): system.loads[film_of(name)] for name in filled}
 
 
+def film_losses(system: System, forces: Forces) -> list:
+    """Power that each film takes [W]."""
+    given = {
+        name: [
+            sp.mul(row.force, row.direction.rate(forces.motions))
+            for row in forces.rows
+            if row.owner == name
+        ]
+        for name in films_of(system)
+    }
+    return [sp.neg(sp.total(powers)) for powers in given.values()]
+
+
 def without_films(model: Model) -> Model:
     """The model whose films act by their shear alone; itself without films."""
     films = films_of(model.system)

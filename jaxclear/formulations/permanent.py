@@ -111,6 +111,12 @@ def permanent_joint(name: str, joint: AbstractClearance) -> AbstractJoint:
         form = joint.permanent_form()
     except ValueError as error:
         raise ValueError(f'joint "{name}" {error}') from None
+    if any(laws.contact.reach is not None for laws in joint.contact_laws()):
+        raise ValueError(
+            f'joint "{name}" has asperities, which carry no load where the reaction moves the '
+            "journal; take integrator.ImplicitStep, Adaptive or FixedStep, or the contact law of "
+            "smooth parts."
+        )
     if joint.maps() and not isinstance(form, AbstractRubbingJoint):
         raise ValueError(
             f'joint "{name}" is a {type(joint).__name__} that wears, whose form in permanent '

@@ -224,6 +224,11 @@ def _check_connection(name: str, connection: Any, bodies: dict) -> None:
             for laws in plain.contact_laws():
                 # What a law asks of a shape hangs on its form: no number is worked out.
                 eqx.filter_eval_shape(fitted, laws.contact, laws.shape)
+                if laws.contact.reach is not None and plain.gap_load(name) is None:
+                    raise ValueError(
+                        f"contact.{type(laws.contact).__name__} is for a PlanarJournalBearing with "
+                        "a film=, whose asperities carry what the film does not."
+                    )
             check_followed(plain)
         except ValueError as error:
             raise ValueError(f'joint "{name}": {error}') from None

@@ -408,6 +408,16 @@ def _reaction(history, name):
 
 
 @eqx.filter_jit
+def film_loss(history: StateHistory, name: str) -> Any:
+    """Mean power [W] that a film takes: that of all steps, or of the saving times where the motion
+    is the ideal one."""
+    duration, layout = history.time[-1] - history.time[0], history.model().layout
+    if name not in dict(layout.impulses):
+        return jnp.trapezoid(load_loss(history, name), history.time) / duration
+    lost = history.states[:, layout.impulse_start + layout.impulses_of(name).start]
+    return (lost[-1] - lost[0]) / duration
+
+
 def load_loss(history: StateHistory, name: str) -> Any:
     """Power [W] that a load takes, shape (time,)."""
 

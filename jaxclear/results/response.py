@@ -457,8 +457,9 @@ class ThinnestFilm(AbstractResponse):
 
 
 class FilmFriction(AbstractResponse):
-    """Mean power that a film takes from the motion over a run [W], by shear and squeeze; where the
-    motion is the ideal one (`NonColliding`) by its torque alone.
+    """Mean power that a film takes from the motion over all steps of a run [W], by shear and
+    squeeze; where the motion is the ideal one (`NonColliding`) by its torque alone, at the saving
+    times.
 
     Args:
         joint: name of the joint, which has a film.
@@ -473,8 +474,7 @@ class FilmFriction(AbstractResponse):
 
     def __call__(self, run):
         film_in(run, self.joint)
-        power = histories.load_loss(run.history, film_of(self.joint))
-        return jnp.trapezoid(power, run.time) / (run.time[-1] - run.time[0])
+        return histories.film_loss(run.history, film_of(self.joint))
 
 
 def film_in(run: Trajectory, name: str) -> Any:

@@ -293,7 +293,8 @@ class Advice(AbstractAnswer):
         best = min(tried, key=lambda trial: trial.worst[1])
         ratio = self._times(best)
         if best.meets:
-            return f"dearer: {as_typed(best.integrator)} keeps it with {ratio}."
+            cause = "another model of contact" if best.left_out else "dearer"
+            return f"{cause}: {as_typed(best.integrator)} keeps it with {ratio}."
         which, off = best.worst
         text = f'{_percent(off)} in "{which}" with {as_typed(best.integrator)}'
         if best.left_out:

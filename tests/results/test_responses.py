@@ -27,6 +27,7 @@ def test_responses_are_what_their_names_say(run):
         jc.response.FinalCoordinate("journal", 1, unit="m"): com[-1, 1],
     }
     covered = {type(response) for response in expected} | {
+        jc.response.FilmFriction,  # of films: tests/integrators/test_films.py
         jc.response.FromFunction,
         jc.response.LargestDeflection,  # of beams: tests/multibody/test_beams.py
         jc.response.LargestError,  # of drawings: tests/studies/test_drawing.py
@@ -34,6 +35,7 @@ def test_responses_are_what_their_names_say(run):
         jc.response.PeakContactForce,  # below
         jc.response.PeakTransmitted,  # of couplings: tests/multibody/test_play.py
         jc.response.PositionError,
+        jc.response.ThinnestFilm,  # of films: tests/integrators/test_films.py
         jc.response.PointingAngle,
     }
     assert covered == {

@@ -145,7 +145,7 @@ class AbstractClearance(AbstractQuantified):
             worn: readings of depth maps by the surface's name, a dict; empty where nothing wears.
 
         Returns:
-            indentations [m], positive in contact, a tuple.
+            indentations [m], positive in contact, a tuple; of a law with a `reach` from that on.
         """
 
     @abstractmethod

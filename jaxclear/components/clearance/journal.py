@@ -30,7 +30,7 @@ from jaxclear.components.journal_film import JournalFilm
 from jaxclear.components.wear_map import Wearing
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import positive_part, rounded_norm, safe_divide
-from jaxclear.ground.quantity import AbstractQuantified, Scalar, concrete, quantity
+from jaxclear.ground.quantity import AbstractQuantified, Scalar, concrete, quantity, with_fields
 from jaxclear.laws.contact import AbstractNormalLaw
 from jaxclear.laws.film import AbstractFilm
 from jaxclear.laws.friction import AbstractFrictionLaw
@@ -114,6 +114,12 @@ def check_film(joint: Any) -> None:
     """Raises `ValueError` for a film in a bearing for which its law is not made."""
     if joint.film is None:
         return
+    clearance, reach = concrete(joint.clearance), concrete(joint.contact.reach)
+    if clearance is not None and reach is not None and reach >= clearance:
+        raise ValueError(
+            f"a {type(joint).__name__} has asperities of {reach:g} m in a clearance of "
+            f"{clearance:g} m, which they fill; its contact law's roughness must be smaller."
+        )
     name = f"a {type(joint).__name__} has film.{type(joint.film).__name__}"
     if joint.roundness is not None:
         raise ValueError(f"{name} and a roundness; films are those of a round bore: leave one out.")
@@ -172,7 +178,9 @@ class PlanarJournalBearing(AbstractJournalBearing):
         if self.film is None:
             return None
         shape = Shape(self.bearing_radius - self.clearance, self.bearing_radius, self.length)
-        law = fitted(self.film, shape)
+        law, least = fitted(self.film, shape), self.contact.least_film
+        if least is not None:
+            law = with_fields(law, thinnest=jnp.maximum(law.thinnest, least / self.clearance))
         return JournalFilm(name, law, self.bearing_radius, self.clearance, self.length)
 
     @property
@@ -185,6 +193,8 @@ class PlanarJournalBearing(AbstractJournalBearing):
 
     def indentations(self, offset, axes, worn):
         x, y, overlap = self.touch(offset)
+        if self.contact.reach is not None:
+            overlap = overlap + self.contact.reach
         toward = offset[:2] if self.roundness is None else (x, y)
         for surface in worn:
             place = toward if surface == "bearing" else _in_frame(axes[0], *toward)

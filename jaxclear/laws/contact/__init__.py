@@ -37,6 +37,7 @@ from jaxclear.laws.contact.composed import Rigid as Rigid
 from jaxclear.laws.contact.composed import TwoSidedJohnson as TwoSidedJohnson
 from jaxclear.laws.contact.composed import ZhiyingQishao as ZhiyingQishao
 from jaxclear.laws.contact.dissipation import AbstractRestitutionFactor as AbstractRestitutionFactor
+from jaxclear.laws.contact.rough import Rough as Rough
 
 __all__ = imported_names(globals(), "cylinder", "dissipation", "elastic")
 __getattr__, __dir__ = nothing_else("jaxclear.contact", __all__)

@@ -49,6 +49,18 @@ class AbstractNormalLaw(AbstractLaw):
         overridden."""
         return False
 
+    @property
+    def reach(self) -> Scalar | None:
+        """How far before the parts touch it begins to press [m], from where the indentation
+        counts; None unless overridden: at touch."""
+        return None
+
+    @property
+    def least_film(self) -> Scalar | None:
+        """Film thickness below which no film is taken [m]; None unless overridden: the film's law
+        says it alone."""
+        return None
+
     @abstractmethod
     def elastic_force(self, indentation: Scalar) -> Scalar:
         """Conservative part of the force; its integral over the indentation is the stored energy.

@@ -230,7 +230,8 @@ def _rounded(estimates: dict[str, Estimate], size: Size) -> dict[str, Estimate]:
 
 
 def _by_certainty(estimates: dict[str, Estimate], size: Size = Size()) -> list[str]:
-    """The methods with an answer that is not vague beside the most certain one, which is first."""
+    """The methods with an answer that is not vague beside the most certain one, which is first. One
+    that contradicts it does not agree with anything."""
     answers = {name: e for name, e in estimates.items() if np.isfinite(e.value + e.error)}
     order = sorted(answers, key=lambda name: (bool(answers[name].doubt), answers[name].error))
     if not order:
@@ -239,7 +240,10 @@ def _by_certainty(estimates: dict[str, Estimate], size: Size = Size()) -> list[s
     largest = max(VAGUE * (abs(best.value) + best.error), size.value / VAGUE, size.rounding)
     # A zero, but for rounding, makes no other answer vague.
     least = ROUNDING * max(answers[name].error for name in order)
-    return [name for name in order if largest <= least or answers[name].error <= largest]
+    if largest <= least:
+        return order
+    is_vague = lambda answer: answer.error > largest and _agree(best, answer)
+    return [name for name in order if not is_vague(answers[name])]
 
 
 def _agree(a: Estimate, b: Estimate) -> bool:
