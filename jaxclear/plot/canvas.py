@@ -213,7 +213,7 @@ def warned(figure: Figure | Panels, runs: Mapping[str, Trajectory]) -> Any:
     """The figure with what the runs it shows warn of below it; `runs` by what they are called
     ("" where there is one)."""
     sentences = [line for name, run in runs.items() for line in as_warnings(run.warnings, name)]
-    sentences += [note for run in runs.values() for note in run.verification.notes]
+    sentences += [note for run in runs.values() for note in run.notes]
     return figure.done(sentences) if isinstance(figure, Panels) else captioned(figure, sentences)
 
 

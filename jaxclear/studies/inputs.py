@@ -108,7 +108,8 @@ def joint(
     distributions is that of one of them, or of several in a row."""
     alone, joints = list[AbstractDistribution](), list[Any]()
     for law in distributions:
-        joints += [(len(alone), law)] if isinstance(law, AbstractJointDistribution) else []
+        several = isinstance(law, AbstractJointDistribution)
+        joints += [(len(alone), on_host(law))] if several else []
         alone += marginals_of(law)
     root = inverse = None
     if correlation is not None:
@@ -116,8 +117,9 @@ def joint(
         root = library.linalg.cholesky(correlation)
         inverse = library.linalg.inv(root)
     widths, matrices = np.ones(len(names)), (correlation, root, inverse)
-    numbers = on_host((tuple(alone), jnp.asarray(nominal), widths, *matrices, tuple(joints)))
-    return Inputs(tuple(names), *numbers)
+    numbers = on_host((tuple(alone), jnp.asarray(nominal), widths, *matrices))
+    # Places stay whole numbers of Python, which programs are compiled for.
+    return Inputs(tuple(names), *numbers, tuple(joints))
 
 
 def correlation_matrix(

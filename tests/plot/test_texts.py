@@ -77,7 +77,12 @@ def tilting():
     told = SimpleNamespace(connections={JOINT: SimpleNamespace(joint=joint)})
     history = SimpleNamespace(offset=offset, axis=axis)
     return mock.Mock(
-        spec=Trajectory, mechanism=told, contact=lambda _: history, warnings=(), time=turn[:, 0]
+        spec=Trajectory,
+        mechanism=told,
+        contact=lambda _: history,
+        warnings=(),
+        notes=(),
+        time=turn[:, 0],
     )
 
 
