@@ -12,7 +12,6 @@ from jaxtyping import Array, Float
 
 from jaxclear.components.wear_map import Wearing
 from jaxclear.ground.arguments import check_name
-from jaxclear.ground.numerics import safe_divide
 from jaxclear.ground.quantity import constant, is_traced
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.state import Layout
@@ -88,30 +87,6 @@ def losses_between(
     count = len(states)
     some = states[np.unique([*range(0, count, every), count - 1])]
     return jax.vmap(lambda before, after: losses(layout, before, after))(some[:-1], some[1:])
-
-
-def merged_by_path(system: System, losses: Losses, longest: float) -> Losses:
-    """Losses one after the other (axis of time in front) of each surface, where those that follow
-    upon each other are one as far as a contact has moved by a `longest` path [cells], and unless it
-    was interrupted; as many rows, of which the last ones lose nothing."""
-    maps = wear_maps(system)
-    merged: Losses = {}
-    for (joint, surface), (volumes, places) in losses.items():
-        path = jax.vmap(jax.vmap(lambda place, of=maps[joint][surface][0]: of.path(place) + 0.0))
-        weighted = volumes[..., None] * places
-        both = volumes[1:] + volumes[:-1]
-        means = safe_divide(weighted[1:] + weighted[:-1], both[..., None])
-        # Two neighbours' path is twice that from the middle of one to the middle of the other.
-        moved = jnp.where(both > 0, 0.5 * path(means), 0.0)
-        moved = jnp.where((volumes[1:] > 0) & (volumes[:-1] == 0), longest, moved)
-        steps = jnp.floor(jnp.cumsum(jnp.max(moved, axis=1)) / longest)
-        is_next = jnp.diff(steps, prepend=0.0) > 0
-        groups = jnp.concatenate([jnp.zeros(1, int), jnp.cumsum(is_next)])
-        volume, weights = (
-            jax.ops.segment_sum(each, groups, len(volumes)) for each in (volumes, weighted)
-        )
-        merged[joint, surface] = volume, safe_divide(weights, volume[..., None])
-    return merged
 
 
 def worn_by(system: System, worn: Worn, losses: Losses) -> Worn:

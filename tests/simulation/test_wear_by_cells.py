@@ -13,10 +13,8 @@ from jaxclear.components.wear_map import AreaMap
 from jaxclear.errors import verification
 from jaxclear.errors.estimates import factor_of_cells, factors_of_cells
 from jaxclear.integrators.checks import Check
-from jaxclear.multibody.system import prepare
 from jaxclear.native import scan
 from jaxclear.simulation.invariants import narrowness
-from jaxclear.simulation.wear import merged_by_path, unworn, worn_by
 
 LIMIT = Check.WEAR_BY_CELLS.limit
 LINE = CylinderMap((36, 1), 10e-3, 20e-3, 1e-4)
@@ -232,34 +230,3 @@ def test_the_stated_error_of_a_depth_holds_its_cells():
 def test_the_first_line_of_a_long_run_that_wears_says_that_it_is_not_verified(monkeypatch):
     monkeypatch.setattr(verification, "MOST_STEPS", 10)
     assert "Not verified" in pressed((16, 8)).result
-
-
-def test_losses_that_are_merged_along_the_path_wear_as_each_by_itself():
-    """A contact that goes round by 120 degrees in a thousand losses, and comes back to where it was
-    after a pause: a quarter of a cell at a time, as much in all, and nothing between both."""
-    wears = jc.Wearing(jc.wear.Archard(), cells=(72, 1))
-    joint = jc.clearance.PlanarJournalBearing(jc.contact.Hertz(stiffness=1e9), bearing_wear=wears)
-    rig = jc.Mechanism(
-        {"shaft": jc.Body(1.0, 1e-3)}, {"B": jc.Connection(joint, "ground", "shaft")}
-    )
-    system = prepare(rig)
-    angles = np.concatenate([np.linspace(0.3, 2.4, 1000), np.zeros(3), np.full(20, 0.3)])
-    volumes = np.where(angles > 0, 1e-15 * (1 + 0.5 * np.sin(3 * angles)), 0.0)[:, None]
-    narrow = np.full_like(angles, joint.maps()["bearing"][0].narrowness(1e-6))
-    zero = np.zeros_like(angles)
-    # Each the mean direction over its arc.
-    length = np.sinc(0.5 * (2.4 - 0.3) / 999 / np.pi)
-    towards = length * np.cos(angles), length * np.sin(angles)
-    places = np.stack([*towards, zero, narrow, zero], axis=-1)[:, None]
-    losses = {
-        ("B", "bearing"): (jnp.asarray(volumes), jnp.asarray(places * (volumes > 0)[..., None]))
-    }
-    merged = jax.jit(lambda each: merged_by_path(system, each, 0.25))(losses)
-    volume, place = merged["B", "bearing"]
-    rows = int(jnp.sum(volume > 0))
-    # 24 cells are gone through, and the place before is one.
-    assert 95 <= rows <= 99 and bool(jnp.all(volume[:rows] > 0))
-    np.testing.assert_allclose(jnp.sum(volume), volumes.sum(), rtol=1e-12)
-    np.testing.assert_allclose(place[rows - 1, 0, :2], [np.cos(0.3), np.sin(0.3)], rtol=1e-6)
-    depths = [worn_by(system, unworn(system), each)["B"]["bearing"] for each in (losses, merged)]
-    np.testing.assert_allclose(depths[1], depths[0], atol=2e-3 * float(jnp.max(depths[0])))

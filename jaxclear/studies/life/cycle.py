@@ -38,14 +38,7 @@ from jaxclear.results.trajectory import Trajectory
 from jaxclear.simulation.initial_state import Past, beginning
 from jaxclear.simulation.loop import run
 from jaxclear.simulation.singular_positions import diagnosed
-from jaxclear.simulation.wear import (
-    Losses,
-    Worn,
-    losses_between,
-    merged_by_path,
-    unworn,
-    worn_by,
-)
+from jaxclear.simulation.wear import Losses, Worn, losses_between, unworn, worn_by
 from jaxclear.studies.problem import Problem
 from jaxclear.studies.run_experiment import RunExperiment
 
@@ -57,9 +50,6 @@ SAME_PLACE = 1e-5
 # Parts of a cycle after which drives are looked at: no drive repeats after a ratio of Fibonacci
 # numbers that does not repeat throughout.
 LOOKS = (0.0, 2 / 13, 3 / 8, 8 / 13, 7 / 8)
-# Path [cells] that a contact takes between two updates of a surface between cycles that are
-# simulated, where saving times tell: a quarter of a cell leaves depths within 0.3 %.
-PATH = 0.25
 # Power by which the parts of a step are shorter towards its end (a graded mesh).
 GRADING = 2
 # Places that so follow upon each other lie as evenly as they can, however many they are.
@@ -71,7 +61,7 @@ MOST_CYCLES = 2.0**53
 class Cycle(eqx.Module):
     """What is kept of a cycle: the motion at its `end`, by joint and surface the worn
     depth [m] (`wore`) and the worn `volumes` [m3], the depth of a fourth of its saving times alone
-    (`wore_by_fourths`), the `losses` one after the other, the problem's `responses`,
+    (`wore_by_fourths`), the `losses` from one saving time to the next, the problem's `responses`,
     the relative `changes` between its two ends, how its run ended (`outcome`) and when [s], and its
     `checks`. Arrays on the host.
     """
@@ -143,7 +133,7 @@ def compiled_cycle(request: Request, begin: SavedMotion, worn: Worn) -> tuple[Cy
         jax.tree.map(lambda after, before: after - before, trajectory.worn, worn),
         volumes(trajectory),
         jax.tree.map(lambda after, before: after - before, worn_by(system, worn, rare), worn),
-        merged_by_path(system, losses_between(layout, trajectory.states), PATH),
+        losses_between(layout, trajectory.states),
         {name: jnp.asarray(f(trajectory), float) for name, f in request.response.items()},
         relative_changes(trajectory.history),
         trajectory.outcome,
@@ -169,22 +159,23 @@ def worn_by_cycles(request: Request, worn: Worn, losses: Losses, lengths: Any, p
     ones walls forget. In each part the cycles go by in their order and backwards, from another
     place on than in the one before, so that no loss of a cycle comes before the others."""
     system = model_of(request.mechanism, request.integrator.formulation).system
-    cycles = len(lengths)
+    cycles, saves = len(lengths), len(request.times) - 1
 
     def put_on(turn, worn):
         part, order = turn // (2 * cycles), turn % (2 * cycles)
         which = jnp.minimum(order, 2 * cycles - 1 - order)
         ends = (1.0 - part / parts) ** GRADING, (1.0 - (part + 1) / parts) ** GRADING
         share = 0.5 * (ends[0] - ends[1]) * lengths[which]
+        begin = jnp.floor(saves * (part * GOLDEN % 1.0)).astype(int)
 
-        def rotated(volumes, places):
-            # Rows that lose something come first.
-            count = jnp.sum(jnp.any(volumes[which] > 0, axis=1))
-            begin = jnp.floor(count * (part * GOLDEN % 1.0)).astype(int)
-            rolled = (jnp.roll(rows[which], -begin, axis=0) for rows in (share * volumes, places))
-            return tuple(jnp.where(order < cycles, rows, rows[::-1]) for rows in rolled)
+        def rotate(rows):
+            rows = jnp.roll(rows[which], -begin, axis=0)
+            return jnp.where(order < cycles, rows, rows[::-1])
 
-        deposited: Losses = {surface: rotated(*of) for surface, of in losses.items()}
+        deposited: Losses = {
+            surface: (share * rotate(volumes), rotate(places))
+            for surface, (volumes, places) in losses.items()
+        }
         return worn_by(system, worn, deposited)
 
     return jax.lax.fori_loop(0, 2 * cycles * parts, put_on, worn)

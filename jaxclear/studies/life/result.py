@@ -115,9 +115,8 @@ class WearLife(AbstractAnswer):
     def by_saves(self) -> np.ndarray:
         """By which share the depth that a cycle wears at each stage, root mean square over the
         cells of the worst surface, would be another one if surfaces were updated at every fourth of
-        its saving times alone; between the cycles that are simulated they are updated as contacts
-        move, at most at each. A bound of what the life is off: surfaces that wear on level some of
-        it."""
+        its saving times alone: between the cycles that are simulated they are updated at each. A
+        bound of what the life is off: surfaces that wear on level some of it."""
         shares = []
         for stage in self.stages:
             other = np.concatenate(
@@ -319,8 +318,8 @@ class WearLife(AbstractAnswer):
         by_saves = float(self.by_saves.max())
         if by_saves > self.accuracy:
             text += (
-                " Between simulated cycles surfaces are updated as contacts move, as far as "
-                "saving times tell; a fourth of these would spread wear otherwise, by up to "
+                " Between simulated cycles surfaces are updated at the saving times of a cycle; at "
+                "a fourth of these a cycle would spread wear otherwise, by up to "
                 f"{100 * by_saves:.2g} % of the depth of cells. Volumes do not depend on them."
             )
         return text

@@ -19,7 +19,6 @@ stages put on by a flow as in Crouch & Grossman 1993, J. Nonlinear Sci. 3, 1,
 doi:10.1007/BF02429858.
 """
 
-import math
 from collections.abc import Callable, Sequence
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -433,11 +432,7 @@ def _after(
         noise = np.copysign(np.hypot(change, noise), change)
     spread = [length * cells.means(rate.noise) for length, rate in losses]
     variance = now.variance + np.sum(np.square(spread), axis=0)
-    # What is less than a step is put on in fewer parts, no larger than those of the whole.
-    paths = [
-        ([(share * length, rate) for length, rate in losses], math.ceil(parts * share**0.5))
-        for share in FRACTIONS
-    ]
+    paths = [[(share * length, rate) for length, rate in losses] for share in FRACTIONS]
     return Node(
         now.cycles + cycles,
         depth,
@@ -446,7 +441,7 @@ def _after(
         variance,
         shape + remainder,
         noise,
-        (*(machine.carry(now.depth, *some) for some in paths), depth),
+        (*(machine.carry(now.depth, some, parts) for some in paths), depth),
         parts,
     )
 
