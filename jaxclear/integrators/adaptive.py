@@ -234,9 +234,11 @@ class Adaptive(AbstractIntegrator):
         and without them it would step over touches. `size`: so many equations of a program are in a
         rate; `so_far`: the peaks of the run."""
         formulation, through = self.formulation, self.through_contacts
-        solver = stepped_by_hand(self.solver, size) or self.solver
-        if bare(rest).layout.states:
-            solver = StandingAtBounds(solver, functools.partial(_bounded, rest))
+        solver = stepped_by_hand(self.solver, size)
+        if solver is None:
+            solver = self.solver
+            if bare(rest).layout.states:
+                solver = StandingAtBounds(solver, functools.partial(_bounded, rest))
         if not bare(rest).layout.contacts:
             return _following(solver, rest)
 
@@ -274,6 +276,7 @@ class Adaptive(AbstractIntegrator):
             (start, stop, first),
             state,
             (arrays, None),
+            functools.partial(_bounded, rest),
             (bare(rest).layout.coordinates, bare(rest).layout.memory_start),
         )
         # A remainder of rounding, shorter than the smallest step, has been taken.
@@ -298,11 +301,12 @@ class Adaptive(AbstractIntegrator):
                 events = events._replace(times=instants[0], rates=instants[1])
         return Advance(state, *steps, (usual, growth), outcome, peaks, events, sent)
 
-    def _solved(self, term, solver, controller, span, state, args, ends):
-        """Where a solver ends, and why where that is before the end. `ends`: of the coordinates and
-        of the speeds in a state."""
+    def _solved(self, term, solver, controller, span, state, args, ended, ends):
+        """Where a solver ends, and why where that is before the end; of its own steps each is
+        `ended(state, args)`. `ends`: of the coordinates and of the speeds in a state."""
         if stepped_by_hand(self.solver) is not None:
-            solved = solve(term, solver, controller, span, state, args, self.max_steps, ends)
+            options = term, solver, controller, span, state, args, self.max_steps, ended, ends
+            solved = solve(*options)
             short = jnp.where(solved.time < span[1], Outcome.TOO_MANY_STEPS, Outcome.REACHED)
             return solved, jnp.where(solved.too_small, Outcome.STEP_TOO_SMALL, short)
         start, stop, first = span
@@ -337,7 +341,7 @@ def _following(solver, rest):
 
     def largest(time, state, args, before):
         before = jnp.zeros(couplings) if before is None else before
-        return transmitted(unpacked(args[0], rest), time, state, before)
+        return transmitted(unpacked(args[0], rest), time, _bounded(rest, state, args), before)
 
     return FollowingCouplings(solver, largest) if couplings else solver
 

@@ -199,16 +199,17 @@ def solve(
     state: Any,
     args: Any,
     most: int,
+    ended: Callable = lambda state, _: state,
     ends: tuple[int, int] = (0, 0),
 ) -> Solved:
     """As `diffrax.diffeqsolve` over a `span` (start, end, first step) [s], in `most` steps tried:
-    the same steps to rounding. A derivative is that of a solution in steps of its own, which are
-    short enough for it too (`_WithDerivatives`): where a spring sets in within a step that resolves
-    the motion, or at rest, those of the motion are too long. How long steps are is no part of it.
-    nan where it does not reach the end. `ends`: of the coordinates and of the speeds in a
-    state."""
+    the same steps to rounding, each `ended(state, args)`. A derivative is that of a solution in
+    steps of its own, which are short enough for it too (`_WithDerivatives`): where a spring sets in
+    within a step that resolves the motion, or at rest, those of the motion are too long. How long
+    steps are is no part of it. nan where it does not reach the end. `ends`: of the coordinates and
+    of the speeds in a state."""
     numbers, rest = eqx.partition((solver, constant(controller)), eqx.is_array)
-    solving = _Solving(term, rest, most, ends)
+    solving = _Solving(term, rest, most, ended, ends)
 
     def moving(numbers, tangents):
         solved = solving.motion(*numbers)
@@ -226,6 +227,7 @@ class _Solving(NamedTuple):
     term: Any
     rest: Any
     most: int
+    ended: Callable
     ends: tuple[int, int]
 
     def motion(self, numbers, span, state, args) -> Solved:
@@ -235,8 +237,8 @@ class _Solving(NamedTuple):
         order = solver.error_order(self.term)
 
         def turn(now):
-            y, after, error = self._tried(solver, now, args)
-            tried = constant((now.start, now.stop, now.state, y, args, error))
+            candidate, y, after, error = self._tried(solver, now, args)
+            tried = constant((now.start, now.stop, now.state, candidate, args, error))
             adapted = controller.adapt_step_size(*tried, order, now.control)
             return _after(now, y, after, adapted, end)
 
@@ -261,9 +263,10 @@ class _Solving(NamedTuple):
                 return self._tried(eqx.combine(solving, self.rest)[0], go(moving), args)
 
             inputs = (solving, args, moving), (of_solving, of_args, d_turn)
-            (y, after, error), (d_y, d_after, d_error) = pushed(tried, *inputs)
+            (candidate, y, after, error), (_, *of_step) = pushed(tried, *inputs)
+            d_y, d_after, d_error = of_step
             off = d_turn["state"], d_y, d_error
-            adapted = controller.adapt(now, y, error, off, order)
+            adapted = controller.adapt(now, candidate, error, off, order)
             after, constants = eqx.partition(after, eqx.is_inexact_array)
 
             def choose(moving, y, after, end):
@@ -292,11 +295,11 @@ class _Solving(NamedTuple):
         return _Turn(begin, until, state, saved, control, none, none, jnp.asarray(True), wish)
 
     def _tried(self, solver, now, args):
-        """(state, what the solver keeps, error) behind a step."""
+        """(state by the solver, as it has ended, what the solver keeps, error) behind a step."""
         at = now.start, now.stop, now.state
         y, error, _, after, _ = solver.step(self.term, *at, args, now.kept, False)
         error = jax.tree.map(lambda each: jnp.where(jnp.isnan(each), jnp.inf, each), error)
-        return y, after, error
+        return y, self.ended(y, args), after, error
 
     def _continues(self, now, end):
         return (now.start < end) & now.fine & (now.accepted + now.rejected < self.most)
@@ -447,7 +450,7 @@ class StandingAtBounds(
     AbstractAround, diffrax.AbstractAdaptiveSolver, diffrax.AbstractWrappedSolver
 ):
     """`solver`, and after each of its steps what stands still at a bound there: `bounded(state,
-    args)`."""
+    args)`. A loop of our own does that itself (`solve`)."""
 
     solver: diffrax.AbstractSolver  # type: ignore[misc]
     bounded: Callable
