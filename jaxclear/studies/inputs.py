@@ -119,7 +119,7 @@ def joint(
     widths, matrices = np.ones(len(names)), (correlation, root, inverse)
     numbers = on_host((tuple(alone), jnp.asarray(nominal), widths, *matrices))
     # Places stay whole numbers of Python, which programs are compiled for.
-    return Inputs(tuple(names), *numbers, tuple(joints))
+    return Inputs(tuple(names), *numbers, joints=tuple(joints))
 
 
 def correlation_matrix(
