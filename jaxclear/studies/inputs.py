@@ -117,9 +117,9 @@ def joint(
         root = library.linalg.cholesky(correlation)
         inverse = library.linalg.inv(root)
     widths, matrices = np.ones(len(names)), (correlation, root, inverse)
-    numbers = on_host((tuple(alone), jnp.asarray(nominal), widths, *matrices))
+    numbers: Any = on_host((tuple(alone), jnp.asarray(nominal), widths, *matrices))
     # Places stay whole numbers of Python, which programs are compiled for.
-    return Inputs(tuple(names), *numbers, joints=tuple(joints))
+    return Inputs(tuple(names), *(*numbers, tuple(joints)))
 
 
 def correlation_matrix(
