@@ -7,7 +7,7 @@ Studies see a `Problem`, never a joint. The path from varied numbers to response
 import dataclasses
 from collections.abc import Callable, Mapping
 from typing import Any
-from weakref import WeakKeyDictionary
+from weakref import finalize
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -170,9 +170,10 @@ class Problem(AbstractQuantified):
     def description(self) -> Description:
         """What is known before any sample is computed."""
         # Not kept in the problem, by whose form programs are found.
-        if self not in _DESCRIPTIONS:
-            _DESCRIPTIONS[self] = self.experiment.describe()
-        return _DESCRIPTIONS[self]
+        if id(self) not in _DESCRIPTIONS:
+            _DESCRIPTIONS[id(self)] = self.experiment.describe()
+            finalize(self, _DESCRIPTIONS.pop, id(self), None)
+        return _DESCRIPTIONS[id(self)]
 
     def units(self) -> dict[str, str]:
         """Unit of each response."""
@@ -289,7 +290,7 @@ class Problem(AbstractQuantified):
             )
 
 
-_DESCRIPTIONS: WeakKeyDictionary[Problem, Description] = WeakKeyDictionary()
+_DESCRIPTIONS: dict[int, Description] = {}
 
 
 def _fields(
