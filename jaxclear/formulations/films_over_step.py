@@ -18,6 +18,7 @@ from jaxclear.formulations.contact_rows import MiddleOfStep, TimeStep, split
 from jaxclear.formulations.delassus import ContactSolution, ImplicitContact, LinearLaws
 from jaxclear.formulations.model import Model
 from jaxclear.ground import sparse as sp
+from jaxclear.ground.factorisation import eliminate
 from jaxclear.ground.quantity import with_fields
 from jaxclear.multibody import kinematics
 from jaxclear.multibody.forces import Forces, with_rows
@@ -158,7 +159,7 @@ def solve_with_films(
     films = range(first, size)
     base = equations.solve(reaches, unmoved, laws)
     responses = [
-        equations.solve(reaches, none, LinearLaws(one_of(size, j), laws.dampings, none))
+        equations.solve(reaches, none, LinearLaws(unit_vector(size, j), laws.dampings, none))
         for j in films
     ]
     matrix, right = [], []
@@ -172,7 +173,7 @@ def solve_with_films(
             matrix.append([g + float(AXES * k + i == j) for j, g in enumerate(gain)])
             gone = [base.rates[r] - about[m] for m, r in enumerate(own)]
             right.append(forces[i] - sp.dot(falls[i], gone))
-    sizes = eliminated(matrix, right)
+    sizes = eliminate([sp.stack([*row, x]) for row, x in zip(matrix, right, strict=True)])
     add = lambda part: [
         sp.add(x, sp.dot(sizes, [getattr(response, part)[i] for response in responses]))
         for i, x in enumerate(getattr(base, part))
@@ -206,32 +207,17 @@ def velocity_lag(
             lags.append(now + jnp.where(film.begun, 0.5 * (now - before), 0.0) - rate.value)
     none, ones = [0.0] * size, [1.0] * size
     columns = [
-        equations.solve(ones, none, LinearLaws(one_of(size, j), none, none)).accelerations
+        equations.solve(ones, none, LinearLaws(unit_vector(size, j), none, none)).accelerations
         for j in range(size - len(rows), size)
     ]
     matrix = [[kinematics.along(row, column) for column in columns] for row in rows]
-    sizes = eliminated(matrix, lags)
+    sizes = eliminate([sp.stack([*row, x]) for row, x in zip(matrix, lags, strict=True)])
     return [sp.dot(sizes, entries) for entries in zip(*columns, strict=True)]
 
 
-def one_of(size: int, index: int) -> list:
+def unit_vector(size: int, index: int) -> list:
     """So many numbers, 1 at the index and 0 elsewhere."""
     return [float(i == index) for i in range(size)]
-
-
-def eliminated(matrix: list[list], right: list) -> list:
-    """Solution of a small system that is not symmetric and needs no pivots."""
-    matrix, right, size = [list(row) for row in matrix], list(right), len(right)
-    for k in range(size):
-        for i in range(k + 1, size):
-            factor = matrix[i][k] / matrix[k][k]
-            matrix[i] = [a - factor * b for a, b in zip(matrix[i], matrix[k], strict=True)]
-            right[i] = right[i] - factor * right[k]
-    result: list[Any] = [0.0] * size
-    for k in reversed(range(size)):
-        later = sp.total(matrix[k][j] * result[j] for j in range(k + 1, size))
-        result[k] = sp.sub(right[k], later) / matrix[k][k]
-    return result
 
 
 def per_film(films: tuple[FilmOverStep, ...], values: Any) -> list[tuple]:

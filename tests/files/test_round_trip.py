@@ -334,10 +334,7 @@ def test_every_argument_of_every_class_has_a_file_form():
     assert {name: own for name, own in lacking.items() if own} == known
 
 
-# What joints make of their films stands in no file.
-@pytest.mark.parametrize(
-    "name", sorted({*REACHABLE} - {"Mechanism", "FromFunction", "MobileJournal"})
-)
+@pytest.mark.parametrize("name", sorted({*REACHABLE} - {"Mechanism", "FromFunction"}))
 def test_every_class_is_read_as_it_was_written(name, tmp_path):
     kind, form = REACHABLE[name]
     built = form.read(as_node(of_class(kind)), "here", tmp_path)
