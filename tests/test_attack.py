@@ -24,7 +24,7 @@ from jaxclear.laws.friction import AbstractForceFriction
 def test_every_law_with_a_force_is_drawn():
     contacts = {
         name for name in jc.contact.__all__ if name[0].isupper() and not name.startswith("Abstract")
-    } - {"ContactForce", "Rigid"}
+    } - {"ContactForce", "Rigid", "Rough"}
     frictions = {
         name
         for name in jc.friction.__all__

@@ -308,12 +308,14 @@ ALONE: Mapping[Any, str] = MappingProxyType({Marker: "body"})
 
 
 def members(families: tuple[type, ...]) -> dict[str, type]:
-    """Final classes of some families, by short name, in the order of their definition."""
+    """Final classes of some families, by short name, in the order of their definition. Of one name
+    the package's class counts, and of a user's classes the last one."""
     kinds: dict[str, type] = {}
     for family in families:
         for kind in (family, *_below(family)):
-            if not kind.__name__.startswith(("Abstract", "_")) and _is_final(kind):
-                kinds.setdefault(kind.__name__, kind)
+            named = not kind.__name__.startswith(("Abstract", "_")) and _is_final(kind)
+            if named and not _is_ours(kinds.get(kind.__name__)):
+                kinds[kind.__name__] = kind
     return kinds
 
 
@@ -527,8 +529,8 @@ def _no_data(thing: Any, kinds: dict[str, type]) -> str:
     return f"is {described(thing)}; a file knows {names} there."
 
 
-def _is_ours(kind: type) -> bool:
-    return kind.__module__.partition(".")[0] == "jaxclear"
+def _is_ours(kind: type | None) -> bool:
+    return kind is not None and kind.__module__.partition(".")[0] == "jaxclear"
 
 
 def _spellings(name: str, full: str) -> tuple[str, ...]:

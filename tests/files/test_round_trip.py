@@ -319,6 +319,21 @@ def test_every_family_has_members():
         assert own and own <= {*REACHABLE}, family
 
 
+def test_a_users_class_hides_none_of_the_package_and_its_last_definition_counts():
+    class Family(eqx.Module):
+        pass
+
+    def define():
+        class Spring(Family):
+            pass
+
+        return Spring
+
+    kinds = [define(), define()]
+    assert members((Family,))["Spring"] is kinds[1]
+    assert members((Family, jc.load.AbstractLoad))["Spring"] is jc.load.Spring
+
+
 def test_every_argument_of_every_class_has_a_file_form():
     # What a run hands to its own solver stands in no file.
     known = {

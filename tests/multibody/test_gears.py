@@ -360,7 +360,8 @@ def test_a_frame_that_turns_with_both_parts_feels_nothing(coupling):
 
 def test_every_coupling_of_bodies_is_tried():
     tried = {type(own) for own in MEMBERS} | {jc.coupling.Screw}
-    assert tried == set(AbstractBodyCoupling.__subclasses__())
+    members = AbstractBodyCoupling.__subclasses__()
+    assert tried == {kind for kind in members if kind.__module__.startswith("jaxclear.")}
 
 
 def rack_along_its_pinion():

@@ -365,8 +365,9 @@ COSTS = [
 
 
 def test_every_cost_has_its_formula_here():
-    members = {kind.__name__ for kind in jc.cost.AbstractCost.__subclasses__()}
-    assert members == {type(cost).__name__ for cost, _ in COSTS}
+    members = jc.cost.AbstractCost.__subclasses__()
+    ours = {kind.__name__ for kind in members if kind.__module__.startswith("jaxclear.")}
+    assert ours == {type(cost).__name__ for cost, _ in COSTS}
 
 
 @pytest.mark.parametrize(("cost", "value"), COSTS)
