@@ -175,12 +175,21 @@ def carried_on(mechanism: Mechanism, coordinates: Array, speeds: Array, time: An
 
 def _started(problem: Ask, q: Array, v: Array, time: Any) -> Start:
     """The start with all by which it is judged."""
+    return _judged_at(problem, q, v, time)[0]
+
+
+def _judged_at(problem: Ask, q: Array, v: Array, time: Any) -> tuple[Start, Array, Array]:
+    """The same, and whether it meets what is held, and what is guessed too, but for rounding."""
     solved, place = is_solved(problem.mechanism, problem.concentric), place_at(problem, q, time)
     positions, speeds = blocks_at(problem, place), speed_blocks(problem, q, v, time)
+    guesses = guess_blocks(problem, place)
+    least = start_check.ROUNDED * (1.0 + jnp.max(jnp.abs(q), initial=0.0) / problem.arm)
+    fast = least * (1.0 + jnp.max(jnp.abs(v), initial=0.0))
+    closed = (_most_left(positions) <= least) & (_most_left(speeds) <= fast)
     # How far coordinates of the tree are from a guess is read off them.
     carried = {branch.name for branch in problem.system.topology.branches}
     closures = [block for block in positions if block.kind in (LOOP, JOURNAL)]
-    return Start(
+    start = Start(
         q,
         v,
         {b.name: jnp.concatenate([b.left, b.fixed]) for b in closures},
@@ -189,9 +198,17 @@ def _started(problem: Ask, q: Array, v: Array, time: Any) -> Start:
         {b.name: b.left / b.measure for b in positions if b.kind == START},
         {b.name: b.left / b.measure for b in speeds if b.kind == START},
         _depths(problem, q, v, time),
-        {b.name: b.left / b.measure for b in guess_blocks(problem, place) if b.name not in carried},
+        {b.name: b.left / b.measure for b in guesses if b.name not in carried},
         scaled(problem, [] if solved else positions)[0],
     )
+    return start, closed, closed & (_most_left(guesses) <= least)
+
+
+def _most_left(blocks: list) -> Any:
+    """What is left of equations, at the most [rad, longest arms]."""
+    left = jnp.concatenate([jnp.zeros(1), *(block.left for block in blocks)])
+    measure = jnp.concatenate([jnp.ones(1), *(block.measure for block in blocks)])
+    return jnp.max(jnp.abs(left) / measure)
 
 
 def _depths(problem: Ask, q: Array, v: Array, time: Any) -> dict[str, Array]:
@@ -217,8 +234,15 @@ def _depths(problem: Ask, q: Array, v: Array, time: Any) -> dict[str, Array]:
 
 def is_sound(mechanism: Mechanism, start: Start) -> Bool[Array, ""]:
     """Whether the start keeps what is asked of it, as `assemble` wants it."""
-    fine = [jnp.all(fine) for _, _, fine in start_check.verdicts(mechanism, start)]
-    return jnp.all(jnp.stack(fine)) if fine else jnp.array(True)
+    array = jnp if is_traced(start) else np
+    fine = [array.all(fine) for _, _, fine in start_check.verdicts(mechanism, start)]
+    return array.all(array.stack(fine)) if fine else array.asarray(True)
+
+
+@compiled_quickly
+def _from_guess(mechanism: Mechanism, concentric: bool, worn: dict | None) -> Start:
+    """The start to which the guess of a mechanism leads that is being traced."""
+    return assemble_arrays(mechanism, concentric, 0.0, None, worn)
 
 
 @compiled_quickly
@@ -230,28 +254,60 @@ def _closest(mechanism: Mechanism, time: Any) -> Start:
 
 
 class Judged(NamedTuple):
-    """A start, whether it is sound, where its search began, and the longest arm [m]."""
+    """A start, whether it is sound, whether it meets what is held, and what is guessed too, but for
+    rounding, where its search began, and the longest arm [m]."""
 
     start: Start
     sound: Any
+    closed: Any
+    met: Any
     seed: Any
     arm: Any
 
 
 @compiled_quickly
-def _judged(
-    mechanism: Mechanism, concentric: bool, worn: dict | None, begin: Beginning | None = None
-) -> Judged:
+def _search(
+    mechanism: Mechanism, concentric: bool, worn: dict | None, begin: Beginning
+) -> tuple[Array, Array]:
     """The search for a start that closes all loops."""
     problem = ask(mechanism, concentric, worn)
     seed, v = guess(mechanism, problem.system)
-    if begin is None:
-        q = _towards_guess(problem, seed, 0.0)
-    else:
-        q = jnp.where(begin.own, begin.coordinates, seed)
-        q = jnp.where(begin.led, _towards_guess(problem, q, 0.0), q)
-    start = _solved(problem, q, v, 0.0)
-    return Judged(start, is_sound(mechanism, start), seed, problem.arm)
+    q = jnp.where(begin.own, begin.coordinates, seed)
+    q = jnp.where(begin.led, _towards_guess(problem, q, 0.0), q)
+    return compiled_sooner(lambda: _searched(problem, q, v, 0.0))
+
+
+@compiled_quickly
+def _judge(
+    mechanism: Mechanism, concentric: bool, worn: dict | None, own: Any, q: Array, v: Array
+) -> Judged:
+    """How far coordinates and speeds, where they are `own`, elsewhere the guess, are a start."""
+    problem = ask(mechanism, concentric, worn)
+    seed, speeds = guess(mechanism, problem.system)
+    q, v = jnp.where(own, q, seed), jnp.where(own, v, speeds)
+    start_check.check_flat_bodies(mechanism, problem.system, motions_at(problem, q, v, 0.0)[2])
+
+    parts = compiled_sooner(lambda: _judged_at(problem, q, v, 0.0))
+    start, closed, met = parts
+    return Judged(start, None, closed, met, seed, problem.arm)
+
+
+def _judged(
+    mechanism: Mechanism, concentric: bool, worn: dict | None, begin: Beginning, known: bool = False
+) -> Judged:
+    """The start to which a search from a beginning leads; `known`: the beginning itself, where it
+    is one."""
+    q = v = np.zeros(0)
+    none = np.zeros(mechanism.topology.coordinate_count), np.zeros(mechanism.topology.speed_count)
+    if known or is_solved(mechanism, concentric):
+        own = np.asarray(False)
+        result = _judge(mechanism, concentric, worn, own, *none)
+        result = result._replace(sound=is_sound(mechanism, result.start))
+        if result.met or is_solved(mechanism, concentric):
+            return result
+    q, v = _search(mechanism, concentric, worn, begin)
+    result = _judge(mechanism, concentric, worn, np.asarray(True), q, v)
+    return result._replace(sound=is_sound(mechanism, result.start))
 
 
 @compiled_quickly
@@ -349,7 +405,7 @@ def first_search(mechanism: Mechanism, concentric: bool, worn: dict | None = Non
     """Where the search for a start leads from what is guessed of a mechanism with numbers."""
     bare = with_redundancy(mechanism, None)
     begin = at_guess(mechanism)
-    first = _judged(bare, concentric, worn, begin)
+    first = _judged(bare, concentric, worn, begin, True)
     tree = assembly_modes.Coordinates(bare, first.seed, first.arm)
     judged = lambda m: _judged(m, concentric, worn, begin)[:2]
     values, start, sound = _with_redundancy(bare, first.start, first.sound, 0.0, judged)
@@ -376,7 +432,8 @@ def nearest(mechanism: Mechanism, concentric: bool = True, worn: dict | None = N
     beginnings are tried where the first has not landed on it. Warns where another mode is about as
     near. What is being traced is taken as it comes."""
     if is_traced((mechanism, worn)) or is_tracing():
-        return Nearest(mechanism, *_judged(mechanism, concentric, worn)[:2])
+        start = _from_guess(mechanism, concentric, worn)
+        return Nearest(mechanism, start, is_sound(mechanism, start))
     first = first_search(mechanism, concentric, worn)
     result = [] if first.is_taken else first.modes(assembly_modes.SEARCHES)
     start, sound = (result[0].start, True) if result else (first.start, first.sound)
