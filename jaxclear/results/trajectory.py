@@ -19,7 +19,7 @@ from jaxtyping import Array, Float, Int
 from jaxclear.components.body import Marker
 from jaxclear.formulations.base import AbstractFormulation
 from jaxclear.ground.argument_errors import Renamed
-from jaxclear.ground.arguments import check_count, check_flags, check_name
+from jaxclear.ground.arguments import check_count, check_flags, check_name, expect
 from jaxclear.ground.datasets import write_csv
 from jaxclear.ground.printing import AbstractShown, with_text_repr
 from jaxclear.ground.quantity import constant, is_traced, on_host, on_numbers
@@ -174,12 +174,12 @@ class Extremes(AbstractShown):
         return tuple(tables)
 
 
-_POINT = "run.body(name).com, run.marker(body, at).position or run.coordinate(joint)"
+_POINT = "run.path(marker), run.body(name).com or run.coordinate(joint)"
 # What is meant by names that a run does not have.
 MEANT = {
     **dict.fromkeys(("plot", "show"), "from jaxclear import plot; plot.result(run)"),
     **dict.fromkeys(("animate", "animation"), "from jaxclear import plot; plot.animate(run)"),
-    **dict.fromkeys(("position", "positions", "path"), _POINT),
+    **dict.fromkeys(("position", "positions"), _POINT),
     **dict.fromkeys(("velocity", "speeds"), "run.body(name).velocity or run.speed(joint)"),
     **dict.fromkeys(("force", "forces"), "run.contact(joint) or run.reaction(joint)"),
     **dict.fromkeys(("energy", "energies"), "run.energy_balance()"),
@@ -434,6 +434,31 @@ class Trajectory(AbstractShown):
             ValueError: if there is no such body, or `at` is given beside a `Marker`.
         """
         return histories.marker(self.body, self.mechanism, body, at)
+
+    @on_numbers
+    def path(self, marker: Marker | str) -> Any:
+        """Path of a point of a body in the ground frame.
+
+        `np.asarray(run.path(marker))` are its positions, shape (time, 3), and
+        `run.path(marker).to_csv(file)` writes them. Inside a derivative take
+        `run.marker(marker).position`.
+
+        Args:
+            marker: a `Marker`, or the name of a body, whose centre of mass it then is.
+
+        Returns:
+            A pandas table, its index the time [s], its columns x [m], y [m] and z [m].
+
+        Raises:
+            ValueError: if there is no such body, or numbers are being traced.
+        """
+        expect(marker, (Marker, str), "the point of a path", "a jaxclear.Marker or a body's name")
+        named = isinstance(marker, str)
+        position = self.body(marker).com if named else self.marker(marker).position
+        columns = {"time [s]": np.asarray(self.time)}
+        for axis, values in zip("xyz", np.asarray(position).T, strict=True):
+            columns[f"{axis} [m]"] = values
+        return as_table(columns, index="time [s]")
 
     def deflection(
         self, name: str, relative_to: Literal["chord", "start"] = "chord"
