@@ -28,7 +28,7 @@ from jaxclear.plot.signal import reached
 from jaxclear.results.modes import Mode
 from jaxclear.results.pointing_error import PointingError, shift, turn
 from jaxclear.results.relative_motion import marker_motion, relative_motion
-from jaxclear.results.solids import moves_in_plane, slides
+from jaxclear.results.solids import moves_in_plane, rows_of, slides
 from jaxclear.results.trajectory import Trajectory
 
 
@@ -331,7 +331,7 @@ def hysteresis(run: Trajectory, joint: str, *, since: float = 0.0, ax: Any = Non
     history, motion = run.contact(joint), relative_motion(run, joint)
     itself: Any = run.mechanism.connections[joint].joint
     gap = getattr(itself, "gap", itself)
-    if {*(getattr(gap, "rows", None) or getattr(gap, "ideal_rows", ()))} == {"x", "y", "z"}:
+    if rows_of(gap) == {"x", "y", "z"}:
         raise ValueError(
             f'the joint "{joint}" is a {type(gap).__name__}, which slides in more than one '
             "direction; its friction has no single displacement."

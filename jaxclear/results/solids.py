@@ -223,9 +223,14 @@ def parts(run: Any, meshes: Mapping[str, Triangles], size: float) -> dict[str, P
 
 def slides(joint: Any) -> bool:
     """Whether a joint, ideal or with clearance, slides along its z axis and does not turn."""
-    joint = getattr(joint, "gap", joint)
-    rows = {*(getattr(joint, "rows", None) or getattr(joint, "ideal_rows", ()))}
+    rows = rows_of(joint)
     return "z" not in rows and "x.z" in rows
+
+
+def rows_of(joint: Any) -> set[str]:
+    """Names of the relative motions that a joint, ideal or with clearance, prevents."""
+    gap: Any = getattr(joint, "gap", joint)
+    return set(getattr(gap, "rows", ()) or getattr(gap, "ideal_rows", ()))
 
 
 def _plate(part: Triangles) -> Triangles:
@@ -238,8 +243,7 @@ def _plate(part: Triangles) -> Triangles:
 def _joint(connection: Connection, size: float, travel: tuple[float, float]) -> tuple:
     """(outer part, on the parent; inner part, on the child), each in its marker's frame."""
     joint: Any = connection.joint
-    joint = getattr(joint, "gap", joint)
-    rows = set(getattr(joint, "rows", ()) or getattr(joint, "ideal_rows", ()))
+    joint, rows = getattr(joint, "gap", joint), rows_of(joint)
     empty = Triangles(np.zeros((0, 3)), np.zeros((0, 3), int))
     if not {"x"} <= rows:
         return empty, empty

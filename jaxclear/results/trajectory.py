@@ -454,7 +454,7 @@ class Trajectory(AbstractShown):
         """
         expect(marker, (Marker, str), "the point of a path", "a jaxclear.Marker or a body's name")
         named = isinstance(marker, str)
-        position = self.body(marker).com if named else self.marker(marker).position
+        position = self.body(str(marker)).com if named else self.marker(marker).position
         columns = {"time [s]": np.asarray(self.time)}
         for axis, values in zip("xyz", np.asarray(position).T, strict=True):
             columns[f"{axis} [m]"] = values
