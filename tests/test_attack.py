@@ -12,7 +12,6 @@ from benchmarks import attack
 from benchmarks.attacks import ideal, laws, tables, verdicts
 from benchmarks.attacks.answers import RESPONSES
 from benchmarks.attacks.attempts import Asked, Finding, attempt
-from benchmarks.attacks.kept import keep, known
 from benchmarks.attacks.structures import structures
 from benchmarks.attacks.verdicts import Verdict
 from jaxclear.integrators.base import REFERENCE, RUNGE_KUTTA
@@ -84,28 +83,6 @@ def test_a_case_is_the_same_whenever_it_is_drawn():
     np.testing.assert_array_equal(
         one.mechanism.parameters()["value"], other.mechanism.parameters()["value"]
     )
-
-
-def test_what_is_kept_is_what_was_found(tmp_path):
-    """So that an attack that is stopped and goes on is one attack; a case that was refused is not
-    drawn again."""
-    found = Finding(
-        Verdict.SAID,
-        {"place": Verdict.RIGHT, "mean force": Verdict.SAID},
-        {"place": 1e-3, "mean force": 0.5},
-        {"place": 0.0, "mean force": np.inf},
-        ("a sentence",),
-        frozenset({"mean force"}),
-        {"place": 2e-3, "mean force": np.inf},
-        {"place": 1e-3, "peak force": None},
-        {"place": 0.0, "mean force": 1e-9},
-    )
-    row = attack.Row(17, "pendulum, Hertz", "default", "Adaptive()", found, 0.25)
-    file = tmp_path / "kept"
-    assert known(file, attack.Row) == {}
-    keep(file, "17", [row])
-    keep(file, "18", [])
-    assert known(file, attack.Row) == {"17": [row], "18": []}
 
 
 @pytest.mark.parametrize(

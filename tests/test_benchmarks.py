@@ -15,7 +15,7 @@ import pytest
 from benchmarks import measure
 from benchmarks.attacks import verdicts
 from benchmarks.by_hand import four_bar
-from benchmarks.claims import design, equations, verification, work_precision, worn_depth
+from benchmarks.claims import equations, verification, work_precision, worn_depth
 from benchmarks.claims import four_bar_variants as scenes
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -151,12 +151,6 @@ def test_a_table_of_the_book_says_which_call_measured_it():
     about |= {"parts": parts}
     assert measured.origin(about, "first") == "`it`, today, a machine."
     assert measured.origin(about, "second") == "`it`, today; `it --only one`, later, a machine."
-
-
-def test_a_global_search_without_a_candidate_that_keeps_its_limits_is_infinite():
-    search = object.__new__(design.Evolution)
-    search.question, search.best, search.best_place = None, float("inf"), np.zeros(0)
-    assert search.ended() == float("inf")
 
 
 def test_summary_of_work_and_precision_is_that_of_its_points():
