@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 import jaxclear as jc
-from benchmarks.inputs.generated import BODY, KINDS, STEEL, Case
 from jaxclear import plot
+from tests.bad_input.generated import BODY, KINDS, STEEL, Case
 
 
 @functools.cache
@@ -236,6 +236,7 @@ ALLOWED = {
     ("run.situations", "joint", "text"),
     ("Marker", "at", "none"),
     ("guide", "friction", "none"),
+    ("four_bar", "cells", "none"),
     ("pointing_error", "through", "list"),  # a list of names is names; "a" is refused as unknown
     ("Connection", "axis", "text"),  # an axis by a word
     ("advise", "scales", "list"),  # an empty list

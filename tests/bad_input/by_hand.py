@@ -11,10 +11,9 @@ import jax
 import numpy as np
 
 import jaxclear as jc
-
-from benchmarks.inputs.functions import clearance, draft, problem, rig, run
-from benchmarks.inputs.generated import Case
 from jaxclear_command.cli import main
+from tests.bad_input.functions import clearance, draft, problem, rig, run
+from tests.bad_input.generated import Case
 
 B = jc.Body(1.0, 1e-2)
 PIN = jc.joint.Revolute()
@@ -242,10 +241,15 @@ def sampled(response: Any) -> Any:
     return jc.monte_carlo(draft(response=response, integrator=Step(2e-5)), 2)
 
 
-def cases(quick: bool) -> Iterator[Case]:
-    """Every mistake; with `quick` those that compile nothing."""
-    written = MISTAKES if quick else MISTAKES + SLOW
-    for place, (name, call) in enumerate(written):
+def cases() -> Iterator[Case]:
+    """Every mistake that compiles nothing."""
+    for place, (name, call) in enumerate(MISTAKES):
         yield Case("by hand", f"{place}: {name}", call, (name,))
     for name, given in COMMANDS.items():
         yield Case("command line", name, functools.partial(main, given), (name,))
+
+
+def compiled_cases() -> Iterator[Case]:
+    """Those that compile a run."""
+    for place, (name, call) in enumerate(SLOW):
+        yield Case("by hand", f"{place}: {name}", call, (name,))
