@@ -141,7 +141,7 @@ def assemblies(
         np.array([mode.distance if mechanism.guess else 0.0 for mode in modes]),
         np.array([assembly_modes.sign(start) for start in starts]),
         np.array([assembly_modes.smallest_singular_value(start) for start in starts]),
-        np.array([mode.count for mode in modes]),
+        np.array([mode.searches for mode in modes]),
         int(samples),
     )
 
@@ -171,13 +171,13 @@ def _modes(mechanism: Mechanism, first: FirstSearch, samples: int) -> list[Mode]
     at_homes = first_search(total, first.concentric)
     result = at_homes.modes(samples)
     if values["guess"]:
-        on = [(assembly_modes.at(mode.start.coordinates), mode.count) for mode in result]
+        on = [(assembly_modes.at(mode.start.coordinates), mode.searches) for mode in result]
         result = assembly_modes.modes(first.tree, first.search, on)
     saved: list[Mode] = []
     for mode in result:
         for i, present in enumerate(saved):
             if _leads_to(mechanism, at_homes, present, mode):
-                saved[i] = present._replace(count=present.count + mode.count)
+                saved[i] = present._replace(searches=present.searches + mode.searches)
                 break
         else:
             saved.append(mode)

@@ -50,7 +50,7 @@ class Mode(NamedTuple):
 
     start: Start
     distance: float
-    count: int
+    searches: int
 
 
 class Nominal(eqx.Module):
@@ -179,7 +179,7 @@ def _with(tree: "Coordinates", result: list[Mode], start: Start, count: int) -> 
     part = Mode(tree.unwound(start), tree.distance(start), count)
     for i, mode in enumerate(result):
         if _is_one(tree, mode.start, part.start):
-            return [*result[:i], mode._replace(count=mode.count + count), *result[i + 1 :]]
+            return [*result[:i], mode._replace(searches=mode.searches + count), *result[i + 1 :]]
     return [*result, part]
 
 
