@@ -149,8 +149,8 @@ class Functions:
         return [rate, contacts.depths]
 
     def remember(self, leaves: Arrays, numbers: Arrays) -> Arrays:
-        """The state with impact speeds of contacts that touch or part within `SIMULTANEOUS`: the search
-        for the instant ends on either side."""
+        """The state with impact speeds of contacts that touch or part within `SIMULTANEOUS`: the
+        search for the instant ends on either side."""
         _, integrator, model, now = self._now(leaves, numbers)
         depths, speeds = integrator.formulation.contacts(model, numbers[-1], now.state)
         ahead = ContactMotion(depths + SIMULTANEOUS * speeds, speeds)
