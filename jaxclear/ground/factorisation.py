@@ -18,6 +18,7 @@ that says nothing new is left out. Elementary operations only: factorisations of
 each other in a batch on several threads.
 """
 
+import itertools
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -200,14 +201,14 @@ def placed(entries: dict[tuple[int, int], Any], shape: tuple[int, int]) -> jnp.n
         return jnp.asarray(constants)
     if shape[1] >= MANY_COLUMNS:
         # XLA compiles what is looked up faster than what is put into place.
-        numbers = sorted({float(x) for x in values if isinstance(x, (int, float))} | {0.0})
+        constants = [0.0, *{float(x) for x in values if isinstance(x, (int, float))}]
         others = [x for x in values if not isinstance(x, (int, float))]
-        further = iter(range(len(numbers), len(numbers) + len(others)))
-        looked_up = np.full(shape, numbers.index(0.0), np.int32)
+        further = itertools.count(len(constants))
+        looked_up = np.zeros(shape, np.int32)
         looked_up[i, j] = [
-            numbers.index(x) if isinstance(x, (int, float)) else next(further) for x in values
+            constants.index(x) if isinstance(x, (int, float)) else next(further) for x in values
         ]
-        return jnp.concatenate([jnp.array(numbers), sp.stack(others)])[looked_up]
+        return jnp.concatenate([jnp.array(constants), sp.stack(others)])[looked_up]
     return jnp.zeros(shape).at[i, j].set(sp.stack(values), unique_indices=True)
 
 

@@ -31,7 +31,7 @@ from jaxclear.multibody import (
 from jaxclear.multibody.assembly_modes import Beginning, Mode, Nominal, at_guess
 from jaxclear.multibody.forces import relative_motions
 from jaxclear.multibody.mechanism import Mechanism, loosened, ungiven, with_redundancy
-from jaxclear.multibody.motors_at_start import turned
+from jaxclear.multibody.motors_at_start import with_motors
 from jaxclear.multibody.newton import Near, closed, least, nearer
 from jaxclear.multibody.start_equations import (
     JOURNAL,
@@ -82,7 +82,7 @@ def assemble_arrays(
     beams `straight` as far as can be; pure, so it maps and differentiates."""
     problem = ask(mechanism, concentric, worn)._replace(straight=straight)
     values = guess(mechanism, problem.system) if rough is None else rough
-    return _solved(problem, *values, time, rough is None, in_one)
+    return _solved(problem, *values, time, rough is None, call=in_one)
 
 
 def _towards_guess(problem: Ask, q: Array, time: Any) -> Array:
@@ -108,14 +108,16 @@ def _solved(
     v: Array,
     time: Any,
     led: bool = False,
+    is_drawn: bool = False,
     call: Callable[..., Any] = compiled_sooner,
 ) -> Start:
     """The consistent start to which a search leads from rough coordinates and speeds, `led` to what
-    is told of other joints first; `call`: how the search is called, and what tells of the start."""
+    is told of other joints first, or which are the start (`is_drawn`); `call`: how the search is
+    called, and what tells of the start."""
     mechanism = problem.mechanism
     start_check.check_flat_bodies(mechanism, problem.system, motions_at(problem, q, v, time)[2])
-    if is_solved(mechanism, problem.concentric):
-        return _started(problem, q, v, time)
+    if is_drawn or is_solved(mechanism, problem.concentric):
+        return call(lambda: _started(problem, q, v, time))
 
     def search():
         start = _towards_guess(problem, q, time) if led else q
@@ -146,7 +148,7 @@ def _searched(problem: Ask, q: Array, v: Array, time: Any) -> tuple[Array, Array
     # The second time for rounding only: rates are linear in the speeds.
     for _ in range(2):
         v = v - least(problem, speed_blocks(problem, q, v, time)).change
-    return turned(mechanism, problem.system, q, v, time)
+    return with_motors(mechanism, problem.system, q, v, time)
 
 
 def closest(problem: Ask, q: Array, time: Any) -> Array:
@@ -165,7 +167,7 @@ def carried_on(mechanism: Mechanism, coordinates: Array, speeds: Array, time: An
     problem = ask(bare, False)
     result = assemble_arrays(bare, False, time, (coordinates, speeds), straight=False)
     rest = stacked(problem, position_blocks(problem, coordinates, time))[1]
-    is_saved = jnp.max(jnp.abs(rest), initial=0.0) <= start_check.HELD * problem.arm
+    is_saved = jnp.max(jnp.abs(rest), initial=0.0) <= start_check.EXACT * problem.arm
     q, v = (
         jnp.where(is_saved, part, nearest)
         for part, nearest in ((coordinates, result.coordinates), (speeds, result.speeds))
@@ -175,40 +177,23 @@ def carried_on(mechanism: Mechanism, coordinates: Array, speeds: Array, time: An
 
 def _started(problem: Ask, q: Array, v: Array, time: Any) -> Start:
     """The start with all by which it is judged."""
-    return _judged_at(problem, q, v, time)[0]
-
-
-def _judged_at(problem: Ask, q: Array, v: Array, time: Any) -> tuple[Start, Array, Array]:
-    """The same, and whether it meets what is held, and what is guessed too, but for rounding."""
     solved, place = is_solved(problem.mechanism, problem.concentric), place_at(problem, q, time)
     positions, speeds = blocks_at(problem, place), speed_blocks(problem, q, v, time)
-    guesses = guess_blocks(problem, place)
-    least = start_check.ROUNDED * (1.0 + jnp.max(jnp.abs(q), initial=0.0) / problem.arm)
-    fast = least * (1.0 + jnp.max(jnp.abs(v), initial=0.0))
-    closed = (_most_left(positions) <= least) & (_most_left(speeds) <= fast)
     # How far coordinates of the tree are from a guess is read off them.
     carried = {branch.name for branch in problem.system.topology.branches}
     closures = [block for block in positions if block.kind in (LOOP, JOURNAL)]
-    start = Start(
+    return Start(
         q,
         v,
-        {b.name: jnp.concatenate([b.left, b.fixed]) for b in closures},
+        {b.name: jnp.concatenate([b.rest, b.fixed]) for b in closures},
         dict(zip([b.name for b in closures], jacobians(problem, closures), strict=True)),
-        {b.name: b.left for b in speeds if b.kind == LOOP},
-        {b.name: b.left / b.measure for b in positions if b.kind == START},
-        {b.name: b.left / b.measure for b in speeds if b.kind == START},
+        {b.name: b.rest for b in speeds if b.kind == LOOP},
+        {b.name: b.rest / b.measure for b in positions if b.kind == START},
+        {b.name: b.rest / b.measure for b in speeds if b.kind == START},
         _depths(problem, q, v, time),
-        {b.name: b.left / b.measure for b in guesses if b.name not in carried},
+        {b.name: b.rest / b.measure for b in guess_blocks(problem, place) if b.name not in carried},
         scaled(problem, [] if solved else positions)[0],
     )
-    return start, closed, closed & (_most_left(guesses) <= least)
-
-
-def _most_left(blocks: list) -> Any:
-    """What is left of equations, at the most [rad, longest arms]."""
-    left = jnp.concatenate([jnp.zeros(1), *(block.left for block in blocks)])
-    measure = jnp.concatenate([jnp.ones(1), *(block.measure for block in blocks)])
-    return jnp.max(jnp.abs(left) / measure)
 
 
 def _depths(problem: Ask, q: Array, v: Array, time: Any) -> dict[str, Array]:
@@ -240,12 +225,6 @@ def is_sound(mechanism: Mechanism, start: Start) -> Bool[Array, ""]:
 
 
 @compiled_quickly
-def _from_guess(mechanism: Mechanism, concentric: bool, worn: dict | None) -> Start:
-    """The start to which the guess of a mechanism leads that is being traced."""
-    return assemble_arrays(mechanism, concentric, 0.0, None, worn)
-
-
-@compiled_quickly
 def _closest(mechanism: Mechanism, time: Any) -> Start:
     """The search for coordinates that miss closed loops by least."""
     problem = ask(mechanism, False)
@@ -254,66 +233,74 @@ def _closest(mechanism: Mechanism, time: Any) -> Start:
 
 
 class Judged(NamedTuple):
-    """A start, whether it is sound, whether it meets what is held, and what is guessed too, but for
-    rounding, where its search began, and the longest arm [m]."""
+    """A start, whether it is sound, where its search began, and the longest arm [m]."""
 
     start: Start
     sound: Any
-    closed: Any
-    met: Any
     seed: Any
     arm: Any
 
 
 @compiled_quickly
-def _search(
-    mechanism: Mechanism, concentric: bool, worn: dict | None, begin: Beginning
-) -> tuple[Array, Array]:
+def _find_start(
+    mechanism: Mechanism,
+    concentric: bool,
+    worn: dict | None,
+    begin: Beginning | None = None,
+    is_drawn: bool = False,
+) -> tuple[Start, Array, Array]:
     """The search for a start that closes all loops."""
     problem = ask(mechanism, concentric, worn)
     seed, v = guess(mechanism, problem.system)
-    q = jnp.where(begin.own, begin.coordinates, seed)
-    q = jnp.where(begin.led, _towards_guess(problem, q, 0.0), q)
-    return compiled_sooner(lambda: _searched(problem, q, v, 0.0))
+    if is_drawn:
+        q = seed
+    elif begin is None:
+        q = _towards_guess(problem, seed, 0.0)
+    else:
+        q = jnp.where(begin.is_set, begin.coordinates, seed)
+        q = jnp.where(begin.led, _towards_guess(problem, q, 0.0), q)
+    return _solved(problem, q, v, 0.0, is_drawn=is_drawn), seed, problem.arm
+
+
+def _judged(mechanism: Mechanism, *rest: Any) -> Judged:
+    """The start to which a search leads, judged where its numbers are."""
+    start, *place = _find_start(mechanism, *rest)
+    return Judged(start, is_sound(mechanism, start), *place)
 
 
 @compiled_quickly
-def _judge(
-    mechanism: Mechanism, concentric: bool, worn: dict | None, own: Any, q: Array, v: Array
-) -> Judged:
-    """How far coordinates and speeds, where they are `own`, elsewhere the guess, are a start."""
+def _distance_from_start(mechanism: Mechanism, concentric: bool, worn: dict | None) -> Array:
+    """By how much the guess misses all that is asked of a start, beside what is rounding [1]."""
     problem = ask(mechanism, concentric, worn)
-    seed, speeds = guess(mechanism, problem.system)
-    q, v = jnp.where(own, q, seed), jnp.where(own, v, speeds)
-    start_check.check_flat_bodies(mechanism, problem.system, motions_at(problem, q, v, 0.0)[2])
+    q, v = guess(mechanism, problem.system)
+    place = place_at(problem, q, 0.0)
+    missed = [
+        jnp.abs(block.rest) / block.measure
+        for block in (*blocks_at(problem, place), *guess_blocks(problem, place))
+    ]
+    speeds = [jnp.abs(block.rest) / block.measure for block in speed_blocks(problem, q, v, 0.0)]
+    size = start_check.ROUNDED * (1.0 + jnp.max(jnp.abs(q), initial=0.0) / problem.arm)
+    fast = 1.0 + jnp.max(jnp.abs(v), initial=0.0)
+    return jnp.max(jnp.concatenate([jnp.zeros(1), *missed, *(x / fast for x in speeds)])) / size
 
-    parts = compiled_sooner(lambda: _judged_at(problem, q, v, 0.0))
-    start, closed, met = parts
-    return Judged(start, None, closed, met, seed, problem.arm)
 
-
-def _judged(
-    mechanism: Mechanism, concentric: bool, worn: dict | None, begin: Beginning, known: bool = False
-) -> Judged:
-    """The start to which a search from a beginning leads; `known`: the beginning itself, where it
-    is one."""
-    q = v = np.zeros(0)
-    none = np.zeros(mechanism.topology.coordinate_count), np.zeros(mechanism.topology.speed_count)
-    if known or is_solved(mechanism, concentric):
-        own = np.asarray(False)
-        result = _judge(mechanism, concentric, worn, own, *none)
-        result = result._replace(sound=is_sound(mechanism, result.start))
-        if result.met or is_solved(mechanism, concentric):
-            return result
-    q, v = _search(mechanism, concentric, worn, begin)
-    result = _judge(mechanism, concentric, worn, np.asarray(True), q, v)
-    return result._replace(sound=is_sound(mechanism, result.start))
+def _is_drawn(mechanism: Mechanism, concentric: bool, worn: dict | None) -> bool:
+    """Whether the guess is a start already, as where a drawing is read; not looked at where drives
+    move joints, which others must follow."""
+    if mechanism.driven or is_solved(mechanism, concentric):
+        return False
+    return bool(_distance_from_start(mechanism, concentric, worn) <= 1.0)
 
 
 @compiled_quickly
-def _carried_on(mechanism: Mechanism, *rest: Any) -> tuple[Start, Array]:
+def _find_carried_on(mechanism: Mechanism, *rest: Any) -> Start:
     """The start from coordinates and speeds of another run."""
-    start = carried_on(mechanism, *rest)
+    return carried_on(mechanism, *rest)
+
+
+def _carried_on(mechanism: Mechanism, *rest: Any) -> tuple[Start, Any]:
+    """The same, and whether it is sound."""
+    start = _find_carried_on(mechanism, *rest)
     return start, is_sound(mechanism, start)
 
 
@@ -341,7 +328,7 @@ def assemble(mechanism: Mechanism, concentric: bool = True) -> Start:
     return ready(with_quantities(mechanism), concentric).start
 
 
-class FirstFound(NamedTuple):
+class FirstSearch(NamedTuple):
     """A mechanism that knows which rows of its loops are redundant, the start to which its guess
     leads and whether that is sound; `sought`: the mechanism that is searched from other beginnings
     (None: there is nothing to search), `tree` its coordinates, `concentric` and `worn` as of
@@ -362,7 +349,7 @@ class FirstFound(NamedTuple):
         values = self.mechanism.topology.depend and not self.sound
         return bool(values and start_check.open_by(self.start) > 0)
 
-    def without_redundancy(self) -> "FirstFound":
+    def without_redundancy(self) -> "FirstSearch":
         """The same with all rows."""
         bare = with_redundancy(self.mechanism, None)
         return self._replace(mechanism=bare, sought=bare)
@@ -401,18 +388,18 @@ class FirstFound(NamedTuple):
         return assembly_modes.modes(self.tree, search, out)
 
 
-def first_search(mechanism: Mechanism, concentric: bool, worn: dict | None = None) -> FirstFound:
+def first_search(mechanism: Mechanism, concentric: bool, worn: dict | None = None) -> FirstSearch:
     """Where the search for a start leads from what is guessed of a mechanism with numbers."""
     bare = with_redundancy(mechanism, None)
     begin = at_guess(mechanism)
-    first = _judged(bare, concentric, worn, begin, True)
+    first = _judged(bare, concentric, worn, begin, _is_drawn(bare, concentric, worn))
     tree = assembly_modes.Coordinates(bare, first.seed, first.arm)
     judged = lambda m: _judged(m, concentric, worn, begin)[:2]
     values, start, sound = _with_redundancy(bare, first.start, first.sound, 0.0, judged)
     # Redundant rows that motion never changes say nothing new.
     searched = values if values.topology.searched else bare
     sought = None if is_solved(bare, concentric) else searched
-    return FirstFound(values, start, sound, tree, sought, concentric, worn)
+    return FirstSearch(values, start, sound, tree, sought, concentric, worn)
 
 
 class Nearest(NamedTuple):
@@ -432,8 +419,7 @@ def nearest(mechanism: Mechanism, concentric: bool = True, worn: dict | None = N
     beginnings are tried where the first has not landed on it. Warns where another mode is about as
     near. What is being traced is taken as it comes."""
     if is_traced((mechanism, worn)) or is_tracing():
-        start = _from_guess(mechanism, concentric, worn)
-        return Nearest(mechanism, start, is_sound(mechanism, start))
+        return Nearest(mechanism, *_judged(mechanism, concentric, worn)[:2])
     first = first_search(mechanism, concentric, worn)
     result = [] if first.is_taken else first.modes(assembly_modes.SEARCHES)
     start, sound = (result[0].start, True) if result else (first.start, first.sound)
@@ -446,7 +432,7 @@ def nearest(mechanism: Mechanism, concentric: bool = True, worn: dict | None = N
             values = _with_redundancy(other.mechanism, result[0].start, True, 0.0, judged)
             first, start, sound = other._replace(mechanism=values[0]), *values[1:]
     text = [assembly_modes.doubt(first.mechanism, first.tree, result)] if sound else []
-    text += [first.tree.turned(mechanism, start)] if sound else []
+    text += [first.tree.turn_warning(mechanism, start)] if sound else []
     doubt = " ".join(filter(None, text))
     if doubt:
         warn(doubt)
@@ -482,8 +468,8 @@ def _with_redundancy(
     bare: Mechanism, start: Start, sound: Any, time: Any, assembled: Callable
 ) -> tuple[Mechanism, Start, Any]:
     """The mechanism with its redundancy, the start, and whether it is sound, assembled anew where
-    rows depend on each other, closed by as many as are independent, and where a damped search
-    closes loops that were not."""
+    rows that depend on each other have left loops open, closed by as many as are independent, and
+    where a damped search closes loops that were not."""
     if not bare.topology.loops:
         return bare, start, sound
     place = start
@@ -494,7 +480,9 @@ def _with_redundancy(
     result = redundancy.redundancy(bare, place, time)
     values = with_redundancy(bare, result)
     if values.topology.depend:
-        return values, *assembled(values)
+        # Loops that are closed but for rounding need not be closed anew.
+        is_closed = sound and start_check.open_by(start, start_check.ROUNDED) == 0
+        return (values, start, sound) if is_closed else (values, *assembled(values))
     if not sound and start_check.open_by(place) == 0 < start_check.open_by(start):
         far = with_redundancy(bare, redundancy.searched(result, start))
         other, fine = assembled(far)

@@ -157,7 +157,7 @@ def _most_of_rank(mechanism: Mechanism, rows: tuple[Row, ...], start: Start, tim
     free = np.linalg.svd(best.jacobian)[2][best.rank :]
     random = np.random.default_rng(0)
     times = (LATER if mechanism.driven else LATER[:1]) if len(scales) else ()
-    for later in times:
+    for later in np.asarray(times):
         for _ in range(DIRECTIONS if len(free) else 1):
             direction = random.normal(size=len(free)) @ free
             step = MOVED * direction / max(np.linalg.norm(direction), 1e-300) * scales
@@ -237,9 +237,9 @@ def _rows(mechanism: Mechanism, q: Array, time: Any) -> tuple[Row, ...]:
         around = [system.topology.branches[i].name for i in {*steps[0]} ^ {*steps[1]}]
         result = constraints.constraint_rows(system, motions, closure)
         fixed = range(len(closure.rows)) if _in_space(mechanism, joint) else result.fixed
-        counted = sorted({*result.kept, *(fixed if counts_fixed else ())})
+        counted = sorted({*result.moving, *(fixed if counts_fixed else ())})
         rows += [
-            Row(joint, closure.rows[i], i, k, i not in result.kept, (joint, *around))
+            Row(joint, closure.rows[i], i, k, i not in result.moving, (joint, *around))
             for i in counted
         ]
     return tuple(rows)
