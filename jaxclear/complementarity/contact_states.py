@@ -112,7 +112,7 @@ def _keep_states_jvp(sizes, primals, tangents):
     return out, -jnp.linalg.pinv(jnp.stack(lines), rtol=REDUNDANT) @ change
 
 
-def with_kept_states(problem: FrictionContact, r: Array) -> Array:
+def with_state_derivatives(problem: FrictionContact, r: Array) -> Array:
     """r, a solution, with the derivatives of the solution whose contacts keep their states, by
     operations that kernels have."""
 
