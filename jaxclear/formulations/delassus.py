@@ -172,7 +172,7 @@ def implicit_contact(
     size = len(free_motion.right)
     if rows and not free_motion.closures.rows and len(rows) >= size:
         operator = delassus_operator(free_motion, [])
-        mass = _whole(free_motion.masses)
+        mass = _block_diagonal(free_motion.masses)
         direction = _in_speeds if size < MANY else _in_many_speeds
         return ImplicitContact(operator.free, operator.multipliers, direction(mass, rows))
     operator = delassus_operator(free_motion, rows)
@@ -183,7 +183,7 @@ def implicit_contact(
     return ImplicitContact(operator.free, operator.multipliers, lambda *_: nothing)
 
 
-def _whole(masses: list) -> list[list]:
+def _block_diagonal(masses: list) -> list[list]:
     """Mass matrices of the subtrees as one."""
     size = sum(len(mass) for mass in masses)
     out: list[list[Any]] = [[0] * size for _ in range(size)]

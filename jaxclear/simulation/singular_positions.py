@@ -40,8 +40,9 @@ from jaxclear.multibody.start_equations import (
     stacked,
 )
 from jaxclear.native.compiled import compiled_quickly
+from jaxclear.results.singular_position import SingularPosition
 from jaxclear.results.state_history import StateHistory
-from jaxclear.results.trajectory import SingularPosition, Trajectory
+from jaxclear.results.trajectory import Trajectory
 
 # Instants of the saving intervals around which the run ended; steps to close the loops at each,
 # and to follow them.
