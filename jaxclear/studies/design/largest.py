@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 
 from jaxclear.ground.argument_errors import answering
@@ -176,7 +177,7 @@ def largest(
 
     def excess_at(value: float) -> float:
         first = runs.count
-        values = np.asarray(question.values(np.array([freedom.place(0, value)]), normal))
+        values = np.asarray(question.values(jnp.array([freedom.place(0, value)]), normal))
         responses = runs.ask(values, "trials")
         good = ~np.isnan(responses).any(axis=1)
         by_name = dict(zip(problem.response_names, responses.T, strict=True))
