@@ -57,7 +57,7 @@ class Extreme(AbstractShown):
     values: np.ndarray
     first_order: float
 
-    def _shown(self):
+    def _summary(self):
         return f"{self.value:.6g} (of first order {self.first_order:.6g})"
 
 
