@@ -36,6 +36,26 @@ def arguments(description: str, **more: dict[str, Any]) -> argparse.Namespace:
     return parser.parse_args()
 
 
+def run_tables(tables: dict[str, Callable[[argparse.Namespace], Any]], **more: Any) -> None:
+    """The frame of a benchmark: computes the rows of each table from the options, prints them and
+    writes them under its title, with the call that measured them. `--only TEXT`: tables whose title
+    holds it; `more`: options of the benchmark."""
+    program: Any = sys.modules["__main__"]
+    only = {"default": "", "metavar": "TEXT", "help": "only tables whose title holds this"}
+    options, titles = arguments(program.__doc__, only=only, **more), []
+    for title, rows_of in tables.items():
+        if options.only in title:
+            titles.append(title)
+            report(title, list(rows_of(options)), options)
+            sign(program.__spec__.name, options.json, titles)
+
+
+def stored_rows(title: str, options: argparse.Namespace) -> list[dict[str, Any]]:
+    """Rows that an earlier call wrote under a title."""
+    path = options.json
+    return json.loads(path.read_text()).get(title, []) if path and path.exists() else []
+
+
 def side_by_side(
     cases: dict[str, Callable[[], Any]], repeats: int = 5
 ) -> dict[str, tuple[float, float]]:

@@ -15,7 +15,6 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import jaxlie
 from jax.extend.core import ClosedJaxpr, Jaxpr
 from jax.interpreters import partial_eval
 
@@ -29,8 +28,7 @@ from benchmarks.claims.four_bar_variants import (
     start_of,
     without,
 )
-from benchmarks.measure import arguments, report, seconds_to_compile, sign
-from jaxclear.ground.pose import Pose, rotation_z
+from benchmarks.measure import run_tables, seconds_to_compile
 from jaxclear.scenes.four_bar import KINDS, four_bar
 from jaxclear.simulation.simulate import run
 
@@ -170,39 +168,16 @@ def absence_rows() -> list[dict[str, Any]]:
     return rows
 
 
-def pose_rows() -> list[dict[str, Any]]:
-    """Why poses are not jaxlie's in the hot path: equations to place a point of a coupler on a
-    crank, both turning about z.
-    """
-
-    def with_sparse(a, b, x):
-        outer = Pose(rotation_z(a), (0, 0, 0))
-        inner = Pose(rotation_z(b), (x, 0, 0))
-        return [c for c in outer.after(inner).point((x, 0, 0)) if not isinstance(c, int)]
-
-    def with_jaxlie(a, b, x):
-        at, still = jnp.stack([x, 0 * x, 0 * x]), jnp.zeros(3)
-        outer = jaxlie.SE3.from_rotation_and_translation(jaxlie.SO3.from_z_radians(a), still)
-        inner = jaxlie.SE3.from_rotation_and_translation(jaxlie.SO3.from_z_radians(b), at)
-        return (outer @ inner) @ at
-
-    args = (0.3, 0.4, 0.1)
-    functions = {"sparse scalars (ours)": with_sparse, "jaxlie SE3": with_jaxlie}
-    return [
-        {"poses by": name, "equations": sum(primitives(f, args).values())}
-        for name, f in functions.items()
-    ]
-
-
-def main() -> None:
-    options = arguments(__doc__)
+def budgeted_rows(options: Any) -> list[dict[str, Any]]:
     rows = variant_rows(whole=not options.quick)
-    report("equations: variants of the four-bar", rows, options)
-    report("equations: what is absent", absence_rows(), options)
-    report("equations: a point carried through two turning frames", pose_rows(), options)
-    sign("benchmarks.claims.equations", options.json)
     print("\n".join(over_budget(rows)) or "\nwithin the budget")
+    return rows
 
+
+TABLES = {
+    "equations: variants of the four-bar": budgeted_rows,
+    "equations: what is absent": lambda _: absence_rows(),
+}
 
 if __name__ == "__main__":
-    main()
+    run_tables(TABLES)

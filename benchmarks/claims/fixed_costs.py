@@ -1,7 +1,7 @@
 """What a run costs beside its steps: a sample of a study by the size of its chunks and by how often
 it is saved, with steps and without (a run of no length, which takes one step of no length for each
 saving time); and a call of `simulate`, of the same numbers and of others each time, and of
-`Problem.evaluate`, as a loop of SciPy's makes them.
+`Problem.evaluate`, as a loop of SciPy's makes them; and what a film costs in a batch.
 
 CPU time, all in one process, the cases taking turns; of samples also as a share of what the
 smallest chunks take. `--json benchmarks/results/fixed_costs.json` keeps it.
@@ -22,7 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxclear as jc
-from benchmarks.measure import arguments, report, sign
+from benchmarks.measure import run_tables
 from jaxclear.studies.store import batch
 
 # Samples of a study, and chunks of them.
@@ -50,6 +50,10 @@ STUDIES = (
     ("four-bar", "length", 51, False),
 )
 TURNS, CALLS = 7, 40
+FILMS = {"none": None} | {
+    name: getattr(jc.film, name)(viscosity=0.01)
+    for name in ("ShortHalfFilm", "HalfFilm", "Reynolds")
+}
 
 
 def problem(scene: str, varied: str, saves: int, idle: bool = False) -> jc.Problem:
@@ -126,20 +130,65 @@ def call_rows(turns: int) -> list[dict[str, Any]]:
     ]
 
 
+def film_problem(film: Any) -> jc.Problem:
+    """A journal pressed down and turned in its bearing, its clearance varied."""
+    gap = jc.clearance.PlanarJournalBearing(
+        jc.contact.CarvalhoMartins(), bearing_radius=1e-2, clearance=2e-4, length=2e-2, film=film
+    )
+    rig = jc.Mechanism(
+        {"journal": jc.Body(1.0, 1e-4)},
+        {"B": jc.Connection(gap, "ground", "journal")},
+        {"gravity": jc.load.Gravity()},
+        speeds={"journal": (0.0, 0.0, 100.0)},
+    )
+    clearance = jc.Variable(VARIED["clearance"], tolerance=20e-6)
+    place = lambda run: run.body("journal").com[-1, 1]
+    how = {"duration": DURATION, "save": 3, "integrator": STEP}
+    return jc.Problem(rig, {"place": place}, {"clearance": clearance}, **how)
+
+
+def film_rows(turns: int) -> list[dict[str, Any]]:
+    """CPU nanoseconds of a Runge-Kutta step of a journal with a film in a batch of runs, that of a
+    run of no length taken off; and of an evaluation of the film, of which a step has four."""
+    values = 2e-4 + np.random.default_rng(0).uniform(-2e-5, 2e-5, size=(SAMPLES, 1))
+    cases: dict[Any, Callable[[], Any]] = {}
+    for name, film in FILMS.items():
+        moving = film_problem(film)
+        still = moving.with_experiment(moving.cost().idle)
+        cases[name, True] = functools.partial(batch.evaluate_all, moving, values)
+        cases[name, False] = functools.partial(batch.evaluate_all, still, values)
+    spent, steps = by_turns(cases, turns), SAMPLES * round(DURATION / float(STEP.step))
+    step = {name: 1e9 * (spent[name, True] - spent[name, False]) / steps for name in FILMS}
+    return [
+        {
+            "film": name,
+            "an rk4 step [ns]": step[name],
+            "an evaluation of the film [ns]": (step[name] - step["none"]) / 4 if film else None,
+        }
+        for name, film in FILMS.items()
+    ]
+
+
 def _often(call: Callable[[], Any]) -> Any:
     return [call() for _ in range(CALLS)]
 
 
-def main() -> None:
-    options = arguments(__doc__)
-    turns = 2 if options.quick else TURNS
+def sample_rows(options: Any) -> list[dict[str, Any]]:
     studies = STUDIES[:2] if options.quick else STUDIES
-    with tempfile.TemporaryDirectory() as folder:
-        os.environ["JAXCLEAR_CACHE"] = folder
-        report("A call", call_rows(turns), options)
-        report("A sample of a study", [sample_row(*own, turns) for own in studies], options)
-    sign("benchmarks.claims.fixed_costs", options.json)
+    return [sample_row(*study, turns_of(options)) for study in studies]
 
+
+def turns_of(options: Any) -> int:
+    return 2 if options.quick else TURNS
+
+
+TABLES = {
+    "A call": lambda options: call_rows(turns_of(options)),
+    "A sample of a study": sample_rows,
+    "A film in a batch": lambda options: film_rows(turns_of(options)),
+}
 
 if __name__ == "__main__":
-    main()
+    with tempfile.TemporaryDirectory() as folder:
+        os.environ["JAXCLEAR_CACHE"] = folder
+        run_tables(TABLES)

@@ -162,7 +162,7 @@ class Verified(AbstractVerification):
         rows = [f"{t.name}: {t.error:.2g} {t.unit}" for t in self.entries]
         return {"numerical errors": "; ".join(rows)}
 
-    def _shown(self):
+    def _summary(self):
         of = lambda t: "chaotic" if t.chaotic else "exceeded" if t.beyond else ""
         table = self.table().drop(columns=["relative error", "tolerance"])
         for head in ("relative error", "tolerance"):
@@ -178,7 +178,7 @@ class Failed(AbstractVerification):
 
     result: str = eqx.field(static=True)
 
-    def _shown(self):
+    def _summary(self):
         return self.warnings[0]
 
     @property
