@@ -52,7 +52,7 @@ class RunStats(AbstractShown):
     rejected_steps: Int[Array, ""]
     verdict: Int[Array, ""]
 
-    def _shown(self):
+    def _summary(self):
         if is_traced(self) or np.ndim(self.verdict):
             return "what traced runs, or several, took"
         taken, tried = int(self.accepted_steps), int(self.rejected_steps)
@@ -86,7 +86,7 @@ class Extremes(AbstractShown):
     transmitted: Any = None
     couplings: tuple[str, ...] = eqx.field(static=True, default=())
 
-    def _shown(self):
+    def _summary(self):
         if is_traced(self) or np.ndim(self.indentation) != 1:
             return "the largest of traced runs, or of several"
         tables: list[Any] = []
@@ -279,7 +279,7 @@ class Trajectory(AbstractShown):
         """
         return self.verification.estimate(self, checked(response)).of(response, self.mechanism)
 
-    def _shown(self):
+    def _summary(self):
         if is_traced(self.outcome):
             return repr(self)
         if np.ndim(self.outcome):
