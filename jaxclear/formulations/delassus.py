@@ -146,11 +146,11 @@ def delassus_operator(free_motion: FreeMotion, rows: list[JacobianRow]) -> Delas
     """
     closures = free_motion.closures
     inverse = constrained_inverse(
-        free_motion.masses, closures.rows, closures.alike, closures.dependence
+        free_motion.masses, closures.rows, closures.kinds, closures.dependence
     )
     respond, constrain = inverse
     (unheld,) = respond([list(free_motion.right)])
-    free, multipliers = constrain(unheld, closures.wanted)
+    free, multipliers = constrain(unheld, closures.targets)
     size, still = len(free_motion.right), [0] * len(multipliers)
     columns = respond([[row.get(j, 0) for j in range(size)] for row in rows])
     responses = [constrain(column, still) for column in columns]

@@ -277,7 +277,7 @@ def reactions_without_motion(
     answers = []
     for k, closure in enumerate(system.closures):
         rows = constraints.constraint_rows(system, motions, closure)
-        places = [i for i in range(len(closure.rows)) if i not in rows.kept]
+        places = [i for i in range(len(closure.rows)) if i not in rows.moving]
         for place in places if in_space else rows.fixed:
             unit: tuple = tuple({place: 1.0} if j == k else {} for j in range(len(system.closures)))
             closing, through = constraints.wrenches_of_rows(system, motions, unit)

@@ -291,7 +291,7 @@ class PointingError(AbstractShown):
             f"largest exact error.{''.join(f' {warning}' for warning in self.warnings)}"
         )
 
-    def _shown(self):
+    def _summary(self):
         return self.sentence()
 
 
