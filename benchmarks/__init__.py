@@ -3,7 +3,7 @@
 `claims` measures the engine itself, `peers` sets it beside other programs, `by_hand` beside the
 same mechanisms written by hand. From the root of the repository:
 
-    python -m benchmarks.claims.antenna [--quick] [--json FILE]
+    python -m benchmarks.claims.scaling [--quick] [--json FILE]
 
 `--json` writes {title: [rows]}, a row being {name of the figure [unit]: value}.
 

@@ -1,7 +1,7 @@
 """Random mechanisms, laws, rungs, speeds and loads: is any number wrong without a sentence?
 
-    python -m benchmarks.attack [--quick] [--json FILE] [--only K ...] [--draws N] [--kept FILE]
-        [--first N] [--builders] [--case N]
+    python -m benchmarks.attack [--quick] [--json FILE] [--only K ...] [--draws N] [--first N]
+        [--builders] [--case N]
 
 Every case is a mechanism with numbers of its own. It is run by references, one ten times tighter
 than the other and one whose numbers are off in the fifth digit, and then as users run it. Every
@@ -9,8 +9,7 @@ response is right within what the rung promises; or the run said that it may not
 ended early, tells an error beyond that, or carries a warning that concerns the response); or the
 references disagree, which the run should have said too (chaotic motion); or it is silently wrong.
 The errors that runs tell are put beside the true ones.
-`--case N` prints all about case N. What `--kept` finds in its file is not run again, and what is
-run is added to it.
+`--case N` prints all about case N.
 """
 
 import argparse
@@ -18,7 +17,6 @@ import json
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -26,11 +24,10 @@ import jax
 from benchmarks.attacks import rungs
 from benchmarks.attacks.attempts import Asked, attempt, find, judges
 from benchmarks.attacks.bearings import Case
-from benchmarks.attacks.kept import keep, known
 from benchmarks.attacks.numbers import Draw
 from benchmarks.attacks.structures import DRAWS, NUMBERS, ROOM, Structure, structures
 from benchmarks.attacks.tables import Row, accused, tables
-from benchmarks.measure import about, report
+from benchmarks.measure import about, arguments, report
 from jaxclear.ground.printing import as_typed
 
 # Saving times of every run.
@@ -38,18 +35,6 @@ SAVES = 201
 QUICK_EVERY, QUICK_DRAWS = 6, 3
 
 Attack = Callable[[Structure, int], list[Row]]
-
-
-def attacked(structure: Structure, draws: range, kept: Path | None, one: Attack) -> list[Row]:
-    """All runs of these cases of a structure by `one`, those that are kept taken from there."""
-    found, rows = known(kept, Row), []
-    for draw in draws:
-        key = str(number_of(structure, draw))
-        if key not in found:
-            found[key] = one(structure, draw)
-            keep(kept, key, found[key])
-        rows += found[key]
-    return rows
 
 
 def number_of(structure: Structure, draw: int) -> int:
@@ -125,16 +110,15 @@ def explain(number: int, one: Attack) -> None:
 
 
 def _options(description: str | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=description)
-    parser.add_argument("--quick", action="store_true", help="a sixth of the mechanisms")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures here")
-    parser.add_argument("--case", type=int, metavar="N", help="print all about one case")
-    parser.add_argument("--only", type=int, nargs="*", metavar="K", help="these structures")
-    parser.add_argument("--draws", type=int, metavar="N", help="draws of each structure")
-    parser.add_argument("--first", type=int, default=0, metavar="N", help="the first of these")
-    parser.add_argument("--builders", action="store_true", help="the first one of each builder")
-    parser.add_argument("--kept", type=Path, metavar="FILE", help="runs that are done, as lines")
-    return parser.parse_args()
+    number = {"type": int, "metavar": "N"}
+    return arguments(
+        description or "",
+        case=number | {"help": "print all about one case"},
+        only={"type": int, "nargs": "*", "metavar": "K", "help": "these structures"},
+        draws=number | {"help": "draws of each structure"},
+        first=number | {"default": 0, "help": "the first of these"},
+        builders={"action": "store_true", "help": "the first one of each builder"},
+    )
 
 
 def main(
@@ -154,7 +138,7 @@ def main(
     draws = range(options.first, options.first + draws)
     for structure in filter(which, chosen(options)):
         begun = time.process_time()
-        own = attacked(structure, draws, options.kept, one)
+        own = [row for draw in draws for row in one(structure, draw)]
         rows += own
         counts = Counter(str(row.verdict) for row in own)
         spent = time.process_time() - begun

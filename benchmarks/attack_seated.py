@@ -1,7 +1,7 @@
 """Joints that are pressed into their bearings and stay there: do all rungs tell the same?
 
     python -m benchmarks.attack_seated [--quick] [--json FILE] [--only K ...] [--draws N]
-        [--first N] [--kept FILE] [--case N]
+        [--first N] [--case N]
 
 The mechanisms are those of `benchmarks.attack` with clearance, started where their loads press them
 (`jaxclear.resting_state`). Where every joint of a tight `Adaptive` carries a force at every instant

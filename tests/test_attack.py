@@ -9,13 +9,11 @@ import pytest
 
 import jaxclear as jc
 from benchmarks import attack
-from benchmarks.attacks import ideal, laws, merged, tables, verdicts
+from benchmarks.attacks import ideal, laws, tables, verdicts
 from benchmarks.attacks.answers import RESPONSES
 from benchmarks.attacks.attempts import Asked, Finding, attempt
-from benchmarks.attacks.kept import keep, known
 from benchmarks.attacks.structures import structures
 from benchmarks.attacks.verdicts import Verdict
-from benchmarks.claims import extremes
 from jaxclear.integrators.base import REFERENCE, RUNGE_KUTTA
 from jaxclear.integrators.checks import Checks
 from jaxclear.laws.friction import AbstractForceFriction
@@ -87,28 +85,6 @@ def test_a_case_is_the_same_whenever_it_is_drawn():
     )
 
 
-def test_what_is_kept_is_what_was_found(tmp_path):
-    """So that an attack that is stopped and goes on is one attack; a case that was refused is not
-    drawn again."""
-    found = Finding(
-        Verdict.SAID,
-        {"place": Verdict.RIGHT, "mean force": Verdict.SAID},
-        {"place": 1e-3, "mean force": 0.5},
-        {"place": 0.0, "mean force": np.inf},
-        ("a sentence",),
-        frozenset({"mean force"}),
-        {"place": 2e-3, "mean force": np.inf},
-        {"place": 1e-3, "peak force": None},
-        {"place": 0.0, "mean force": 1e-9},
-    )
-    row = attack.Row(17, "pendulum, Hertz", "default", "Adaptive()", found, 0.25)
-    file = tmp_path / "kept"
-    assert known(file, attack.Row) == {}
-    keep(file, "17", [row])
-    keep(file, "18", [])
-    assert known(file, attack.Row) == {"17": [row], "18": []}
-
-
 @pytest.mark.parametrize(
     ("told", "failed", "warned"),
     [
@@ -151,17 +127,6 @@ def test_a_run_without_contacts_tells_errors_of_its_reactions():
     assert all(0 < fine[name] < 0.2 * coarse[name] for name in coarse)
 
 
-def test_tables_of_several_attacks_are_added_up():
-    def table(right, warned, wrong):
-        counts = {"runs": right + wrong, "right": right, "silently wrong": wrong}
-        row = counts | {"right, yet warned [%]": 100 * warned / right}
-        return [{"rung": "default"} | row, {"rung": "all"} | row]
-
-    added = merged.added([table(8, 2, 1), table(4, 1, 0)])
-    wanted = {"runs": 13, "right": 12, "silently wrong": 1, "right, yet warned [%]": 25.0}
-    assert added == [{"rung": "default"} | wanted, {"rung": "all"} | wanted]
-
-
 @pytest.mark.slow
 def test_quick_attack_finds_no_wrong_number_of_the_default_without_a_sentence():
     rows = [
@@ -171,17 +136,3 @@ def test_quick_attack_finds_no_wrong_number_of_the_default_without_a_sentence():
         for row in attack.attack(structure._replace(rungs=("default",)), draw)
     ]
     assert rows and not [row for row in rows if row.verdict in (Verdict.WRONG, Verdict.RAW)]
-
-
-@pytest.mark.slow
-def test_extremes_begin_with_surfaces_worn_as_a_user_would():
-    """And the cells of joints that wear are no tracebacks: a worn bearing lets its journal sink."""
-    build, asked = extremes.JOINTS["planar"][0], extremes.asked_of
-    found = []
-    for depth in (0.0, 0.5):
-        p = extremes.USUAL | {"worn depth": depth}
-        run = attempt(build(p), jc.integrator.Adaptive(), asked("planar", p))
-        assert not run.raw and not run.ended
-        found.append(run.answers)
-    new, worn = (np.asarray(answers.offset).min() for answers in found)
-    assert worn < new - 0.3 * extremes.USUAL["clearance"]

@@ -2,10 +2,14 @@
 
 import ast
 import importlib.util
+import inspect
 import re
 from pathlib import Path
 
 import pytest
+
+import jaxclear as jc
+from jaxclear import plot
 
 BOOK = Path(__file__).parents[1] / "notebooks"
 REFERENCE = re.compile(r"^```\{reference\} (\S+) ?(.*)$", re.MULTILINE)
@@ -26,6 +30,26 @@ def test_pages_of_the_api_name_what_there_is(page):
             module = getattr(module, part, None) or importlib.import_module(path)
         missing = [name for name in names if not hasattr(module, name)]
         assert not missing, f"{path} has no {', '.join(missing)}"
+
+
+EXAMPLE = re.compile(r"```python\n(.*?)```", re.DOTALL)
+PUBLIC = re.compile(r"(jc|plot)[.\w]+")
+PAGES = [page for page in sorted((BOOK / "api").glob("*.md")) if page.stem != "index"]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_every_page_of_the_api_begins_with_an_example_of_calls_that_there_are(page):
+    """Names exist, and arguments are those of the signatures."""
+    text = page.read_text()
+    (example,) = EXAMPLE.findall(text)
+    assert text.index("```python") < text.index("```{reference}")
+    calls = [node for node in ast.walk(ast.parse(example)) if isinstance(node, ast.Call)]
+    calls = [call for call in calls if PUBLIC.fullmatch(ast.unparse(call.func))]
+    for call in calls:
+        function = eval(ast.unparse(call.func), {"jc": jc, "plot": plot})
+        named = {keyword.arg: None for keyword in call.keywords}
+        inspect.signature(function).bind(*call.args, **named)
+    assert calls or page.stem == "extensions"
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,7 @@ with.
 
 A rung is judged by its own model: compliant rungs by `Adaptive` at two tight tolerances, rigid
 contact and joints that always touch by their own steps at two short lengths. What a model is off
-is another question (`benchmarks.claims.formulations`).
+is another question (`benchmarks.claims.work_precision`).
 """
 
 from collections.abc import Callable

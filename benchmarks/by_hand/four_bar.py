@@ -1,19 +1,13 @@
-"""The four-bar with a spatial clearance joint, written by hand for JAX and for numba: the mark that
-jaxclear is measured against.
+"""The four-bar with a spatial clearance joint and friction, written by hand in plain Python: an
+oracle of its rates.
 
 Same mechanism, coordinates and laws as `four_bar_variants.build(RUBBING)`; simplified by hand:
 crank and coupler in the plane, the follower by its quaternion, gradients of the indentation worked
-out on paper. The kinematics are one source for both back-ends; the contact law has a branch-free
-form for JAX and one with branches for numba, which is what each does best.
+out on paper.
 """
 
-import math
+from math import cos, pi, sin, sqrt
 from typing import Any, NamedTuple
-
-import jax
-import jax.numpy as jnp
-import numba
-import numpy as np
 
 CRANK, COUPLER, FOLLOWER, GROUND, SPEED, GRAVITY = 0.1, 0.4, 0.3, 0.3, 10.0, 9.81
 COUPLER_MASS, FOLLOWER_MASS, THIN = 1.44, 1.63, 1e-4
@@ -22,8 +16,6 @@ SWING_INERTIA = FOLLOWER_MASS * FOLLOWER**2 / 3
 HALF_FOLLOWER = 0.5 * FOLLOWER * FOLLOWER_MASS
 HALF_COUPLER = 0.5 * COUPLER * COUPLER_MASS
 SLIP_ROUNDING = 1e-14
-# Entries of the state.
-STATE = 11
 
 
 class Parameters(NamedTuple):
@@ -63,243 +55,115 @@ def parameters(system: Any) -> Parameters:
     )
 
 
-def jax_laws():
-    """(square root, sine, cosine, normal force, coefficient of friction) without branches."""
-
-    def normal(p, delta, rate, memory):
-        open_ = delta <= 0
-        inside = jnp.where(open_, 1.0, delta)
-        speed = jnp.where(memory > 0, memory, jnp.abs(rate))
-        loss = jnp.maximum(1 + p.damping * rate / jnp.maximum(speed, p.slowest), 0.0)
-        return jnp.where(open_, 0.0, p.stiffness * inside * jnp.sqrt(inside) * loss)
-
-    def friction(p, force, speed):
-        rise = jnp.sin(math.pi / 2 * jnp.minimum(speed / p.static_speed, 1.0))
-        share = jnp.clip((speed - p.static_speed) / (p.kinetic_speed - p.static_speed), 0.0, 1.0)
-        return p.mu_static * rise + (p.mu_kinetic - p.mu_static) * (
-            0.5 - 0.5 * jnp.cos(math.pi * share)
-        )
-
-    return jnp.sqrt, jnp.sin, jnp.cos, normal, friction
+def normal_force(p: Parameters, delta: float, rate: float, memory: float) -> float:
+    """Of the contact law [N]."""
+    if delta < 0:
+        return 0.0
+    speed = memory if memory > 0 else abs(rate)
+    loss = max(1 + p.damping * rate / max(speed, p.slowest), 0.0)
+    return p.stiffness * delta * sqrt(delta) * loss
 
 
-def numba_laws():
-    """The same with branches: what does not touch costs nothing."""
-
-    @numba.njit(inline="always")
-    def normal(p, delta, rate, memory):
-        if delta < 0:
-            return 0.0
-        speed = memory if memory > 0 else abs(rate)
-        loss = max(1 + p.damping * rate / max(speed, p.slowest), 0.0)
-        return p.stiffness * delta * math.sqrt(delta) * loss
-
-    @numba.njit(inline="always")
-    def friction(p, force, speed):
-        if force == 0:
-            return 0.0
-        if speed < p.static_speed:
-            return p.mu_static * math.sin(math.pi / 2 * speed / p.static_speed)
-        if speed > p.kinetic_speed:
-            return p.mu_kinetic
-        share = (speed - p.static_speed) / (p.kinetic_speed - p.static_speed)
-        return p.mu_static + (p.mu_kinetic - p.mu_static) * (0.5 - 0.5 * math.cos(math.pi * share))
-
-    return math.sqrt, math.sin, math.cos, normal, friction
+def friction_coefficient(p: Parameters, speed: float) -> float:
+    """Of the law of three zones."""
+    if speed < p.static_speed:
+        return p.mu_static * sin(pi / 2 * speed / p.static_speed)
+    if speed > p.kinetic_speed:
+        return p.mu_kinetic
+    share = (speed - p.static_speed) / (p.kinetic_speed - p.static_speed)
+    return p.mu_static + (p.mu_kinetic - p.mu_static) * (0.5 - 0.5 * cos(pi * share))
 
 
-def make_rate(laws: tuple, compiled: Any):
-    """rate(time, state as 11 scalars, parameters) -> 11 scalars."""
-    sqrt, sin, cos, normal_law, friction_law = laws
-
-    @compiled
-    def end(p, z, u, a, s, velocity, spin, turning, memory):
-        """One end of the bearing: force and torque on the journal."""
-        rise = z - u[2]
-        cx, cy = u[0] + rise * s[0], u[1] + rise * s[1]
-        r = sqrt(cx * cx + cy * cy)
-        nx, ny = cx / r, cy / r
-        lean = s[0] * nx + s[1] * ny
-        bend = (p.radius - p.clearance) * lean
-        delta = r - p.clearance + 0.5 * bend * lean
-        gx = nx + bend * (s[0] - lean * nx) / r
-        gy = ny + bend * (s[1] - lean * ny) / r
-        gz = -(gx * s[0] + gy * s[1])
-        hx, hy = (rise * gx + bend * nx) / a[2], (rise * gy + bend * ny) / a[2]
-        hz = -(hx * s[0] + hy * s[1])
-        rate = gx * velocity[0] + gy * velocity[1] + gz * velocity[2]
-        rate = rate + hx * turning[0] + hy * turning[1] + hz * turning[2]
-        force = normal_law(p, delta, rate, memory)
-        reach = p.radius + 0.5 * delta
-        ax, ay, az = reach * nx - u[0], reach * ny - u[1], rise
-        vx = velocity[0] + spin[1] * az - spin[2] * ay
-        vy = velocity[1] + spin[2] * ax - spin[0] * az
-        slip, along = nx * vy - ny * vx, velocity[2] + spin[0] * ay - spin[1] * ax
-        speed = sqrt(slip * slip + along * along + SLIP_ROUNDING * SLIP_ROUNDING)
-        drag = -force * friction_law(p, force, speed) / speed
-        tx, ty, tz = -drag * slip * ny, drag * slip * nx, drag * along
-        fx, fy, fz = tx - force * gx, ty - force * gy, tz - force * gz
-        mx = ay * tz - az * ty - force * (a[1] * hz - a[2] * hy)
-        my = az * tx - ax * tz - force * (a[2] * hx - a[0] * hz)
-        mz = ax * ty - ay * tx - force * (a[0] * hy - a[1] * hx)
-        return fx, fy, fz, mx, my, mz
-
-    @compiled
-    def rate(time, y, p):
-        phi, q = SPEED * time, y[0]
-        sphi, cphi, sq, cq = sin(phi), cos(phi), sin(q), cos(q)
-        c, s = cphi * cq - sphi * sq, sphi * cq + cphi * sq
-        w, x, yy, z = y[1], y[2], y[3], y[4]
-        qd, o1, o2, o3 = y[5], y[6], y[7], y[8]
-        k = 2.0 / (w * w + x * x + yy * yy + z * z)
-        r00, r01, r02 = 1 - k * (yy * yy + z * z), k * (x * yy - w * z), k * (x * z + w * yy)
-        r10, r11, r12 = k * (x * yy + w * z), 1 - k * (x * x + z * z), k * (yy * z - w * x)
-        r20, r21, r22 = k * (x * z - w * yy), k * (yy * z + w * x), 1 - k * (x * x + yy * yy)
-        turn = SPEED + qd
-        # Journal in the bearing: place, axis, velocity and spin, in the coupler's axes.
-        gx, gy = GROUND + FOLLOWER * r00 - CRANK * cphi, FOLLOWER * r10 - CRANK * sphi
-        u = (c * gx + s * gy - COUPLER, c * gy - s * gx, FOLLOWER * r20)
-        a = (c * r02 + s * r12, c * r12 - s * r02, r22)
-        slope = (a[0] / a[2], a[1] / a[2])
-        b1, b2 = FOLLOWER * o3, -FOLLOWER * o2
-        vx, vy, vz = r01 * b1 + r02 * b2, r11 * b1 + r12 * b2, r21 * b1 + r22 * b2
-        velocity = (
-            c * vx + s * vy - CRANK * SPEED * sq + turn * u[1],
-            c * vy - s * vx - CRANK * SPEED * cq - turn * (COUPLER + u[0]),
-            vz,
-        )
-        wx, wy = r00 * o1 + r01 * o2 + r02 * o3, r10 * o1 + r11 * o2 + r12 * o3
-        spin = (c * wx + s * wy, c * wy - s * wx, r20 * o1 + r21 * o2 + r22 * o3 - turn)
-        turning = (
-            spin[1] * a[2] - spin[2] * a[1],
-            spin[2] * a[0] - spin[0] * a[2],
-            spin[0] * a[1] - spin[1] * a[0],
-        )
-        half = 0.5 * p.length
-        e = end(p, -half, u, a, slope, velocity, spin, turning, y[9])
-        f = end(p, half, u, a, slope, velocity, spin, turning, y[10])
-        fx, fy, fz = e[0] + f[0], e[1] + f[1], e[2] + f[2]
-        mx, my, mz = e[3] + f[3], e[4] + f[4], e[5] + f[5]
-        # Coupler about A.
-        moment = -(mz + (COUPLER + u[0]) * fy - u[1] * fx)
-        qdd = (moment - HALF_COUPLER * (CRANK * SPEED * SPEED * sq + GRAVITY * c)) / COUPLER_INERTIA
-        # Follower about D, in its own axes.
-        hx, hy, nx, ny = c * fx - s * fy, s * fx + c * fy, c * mx - s * my, s * mx + c * my
-        f2 = r01 * hx + r11 * hy + r21 * fz
-        f3 = r02 * hx + r12 * hy + r22 * fz
-        t1 = r00 * nx + r10 * ny + r20 * mz
-        t2 = r01 * nx + r11 * ny + r21 * mz - FOLLOWER * f3 + HALF_FOLLOWER * GRAVITY * r12
-        t3 = r02 * nx + r12 * ny + r22 * mz + FOLLOWER * f2 - HALF_FOLLOWER * GRAVITY * r11
-        d2 = (t2 - (THIN - SWING_INERTIA) * o3 * o1) / SWING_INERTIA
-        d3 = (t3 - (SWING_INERTIA - THIN) * o1 * o2) / SWING_INERTIA
-        return (
-            qd,
-            0.5 * (-x * o1 - yy * o2 - z * o3),
-            0.5 * (w * o1 + yy * o3 - z * o2),
-            0.5 * (w * o2 + z * o1 - x * o3),
-            0.5 * (w * o3 + x * o2 - yy * o1),
-            qdd,
-            t1 / THIN,
-            d2,
-            d3,
-            0.0,  # impact speeds stand still
-            0.0,
-        )
-
-    return rate
+def end_force(p, z, u, a, s, velocity, spin, turning, memory):
+    """One end of the bearing: force and torque on the journal."""
+    rise = z - u[2]
+    cx, cy = u[0] + rise * s[0], u[1] + rise * s[1]
+    r = sqrt(cx * cx + cy * cy)
+    nx, ny = cx / r, cy / r
+    lean = s[0] * nx + s[1] * ny
+    bend = (p.radius - p.clearance) * lean
+    delta = r - p.clearance + 0.5 * bend * lean
+    gx = nx + bend * (s[0] - lean * nx) / r
+    gy = ny + bend * (s[1] - lean * ny) / r
+    gz = -(gx * s[0] + gy * s[1])
+    hx, hy = (rise * gx + bend * nx) / a[2], (rise * gy + bend * ny) / a[2]
+    hz = -(hx * s[0] + hy * s[1])
+    rate = gx * velocity[0] + gy * velocity[1] + gz * velocity[2]
+    rate = rate + hx * turning[0] + hy * turning[1] + hz * turning[2]
+    force = normal_force(p, delta, rate, memory)
+    reach = p.radius + 0.5 * delta
+    ax, ay, az = reach * nx - u[0], reach * ny - u[1], rise
+    vx = velocity[0] + spin[1] * az - spin[2] * ay
+    vy = velocity[1] + spin[2] * ax - spin[0] * az
+    slip, along = nx * vy - ny * vx, velocity[2] + spin[0] * ay - spin[1] * ax
+    speed = sqrt(slip * slip + along * along + SLIP_ROUNDING * SLIP_ROUNDING)
+    drag = -force * friction_coefficient(p, speed) / speed
+    tx, ty, tz = -drag * slip * ny, drag * slip * nx, drag * along
+    fx, fy, fz = tx - force * gx, ty - force * gy, tz - force * gz
+    mx = ay * tz - az * ty - force * (a[1] * hz - a[2] * hy)
+    my = az * tx - ax * tz - force * (a[2] * hx - a[0] * hz)
+    mz = ax * ty - ay * tx - force * (a[0] * hy - a[1] * hx)
+    return fx, fy, fz, mx, my, mz
 
 
-def jax_rate():
-    """The hand-written rate for JAX: scalars in, a tuple of scalars out."""
-    return make_rate(jax_laws(), lambda function: function)
-
-
-def jax_batch(rate):
-    """rate over a batch: (times, states (11, n), clearances and stiffnesses (n), other parameters
-    shared).
-    """
-
-    def one(time, y, p):
-        return jnp.stack(rate(time, y, p))
-
-    shared = Parameters(*(None,) * len(Parameters._fields))._replace(clearance=0, stiffness=0)
-    return jax.vmap(one, in_axes=(None, -1, shared), out_axes=-1)
-
-
-def numba_rate():
-    """The hand-written rate for numba."""
-    return make_rate(numba_laws(), numba.njit(inline="always"))
-
-
-def numba_batch(parallel: bool = False):
-    """Loop over samples: out[:, j] = rate(time, states[:, j]) with its own clearance and
-    stiffness."""
-    rate, loop = numba_rate(), numba.prange if parallel else range
-
-    @numba.njit(parallel=parallel, error_model="numpy")
-    def batch(time, states, p, clearances, stiffnesses, out):
-        for j in loop(states.shape[0]):
-            own = Parameters(
-                clearances[j], p.radius, p.length, stiffnesses[j], p.damping, p.slowest,
-                p.mu_static, p.mu_kinetic, p.static_speed, p.kinetic_speed,
-            )  # fmt: skip
-            slopes = rate(time, states[j], own)
-            for i in range(STATE):
-                out[j, i] = slopes[i]
-
-    return batch
-
-
-def numba_euler():
-    """One rate after the other: y += h rate, `steps` times, for one state."""
-    rate = numba_rate()
-
-    @numba.njit(error_model="numpy")
-    def run(steps, h, y, p):
-        for step in range(steps):
-            slopes = rate(step * h, y, p)
-            for i in range(STATE):
-                y[i] += h * slopes[i]
-        return y
-
-    return run
-
-
-def numba_runge_kutta(parallel: bool = False):
-    """Classical Runge-Kutta for every sample by itself, `steps` steps of h from time zero, in
-    place. Impact speeds are not taken at the touch: it is written to be timed.
-    """
-    rate, loop = numba_rate(), numba.prange if parallel else range
-    advance = _numba_step(rate)
-
-    @numba.njit(parallel=parallel, error_model="numpy")
-    def batch(steps, h, states, p, clearances, stiffnesses):
-        for j in loop(states.shape[0]):
-            own = Parameters(
-                clearances[j], p.radius, p.length, stiffnesses[j], p.damping, p.slowest,
-                p.mu_static, p.mu_kinetic, p.static_speed, p.kinetic_speed,
-            )  # fmt: skip
-            advance(steps, h, states[j], own)
-
-    return batch
-
-
-def _numba_step(rate):
-    @numba.njit(error_model="numpy")
-    def advance(steps, h, y, own):
-        total, inner = np.zeros(STATE), np.zeros(STATE)
-        for step in range(steps):
-            for i in range(STATE):
-                total[i], inner[i] = 0.0, y[i]
-            for stage in range(4):
-                node = 0.0 if stage == 0 else 1.0 if stage == 3 else 0.5
-                weight = 1 / 6 if stage == 0 or stage == 3 else 1 / 3
-                slopes = rate((step + node) * h, inner, own)
-                reach = h if stage == 2 else 0.5 * h
-                for i in range(STATE):
-                    total[i] += weight * slopes[i]
-                    inner[i] = y[i] + reach * slopes[i]
-            for i in range(STATE):
-                y[i] += h * total[i]
-
-    return advance
+def rate(time: float, y: Any, p: Parameters) -> tuple[float, ...]:
+    """Of the state (11,) at a time [s]."""
+    phi, q = SPEED * time, y[0]
+    sphi, cphi, sq, cq = sin(phi), cos(phi), sin(q), cos(q)
+    c, s = cphi * cq - sphi * sq, sphi * cq + cphi * sq
+    w, x, yy, z = y[1], y[2], y[3], y[4]
+    qd, o1, o2, o3 = y[5], y[6], y[7], y[8]
+    k = 2.0 / (w * w + x * x + yy * yy + z * z)
+    r00, r01, r02 = 1 - k * (yy * yy + z * z), k * (x * yy - w * z), k * (x * z + w * yy)
+    r10, r11, r12 = k * (x * yy + w * z), 1 - k * (x * x + z * z), k * (yy * z - w * x)
+    r20, r21, r22 = k * (x * z - w * yy), k * (yy * z + w * x), 1 - k * (x * x + yy * yy)
+    turn = SPEED + qd
+    # Journal in the bearing: place, axis, velocity and spin, in the coupler's axes.
+    gx, gy = GROUND + FOLLOWER * r00 - CRANK * cphi, FOLLOWER * r10 - CRANK * sphi
+    u = (c * gx + s * gy - COUPLER, c * gy - s * gx, FOLLOWER * r20)
+    a = (c * r02 + s * r12, c * r12 - s * r02, r22)
+    slope = (a[0] / a[2], a[1] / a[2])
+    b1, b2 = FOLLOWER * o3, -FOLLOWER * o2
+    vx, vy, vz = r01 * b1 + r02 * b2, r11 * b1 + r12 * b2, r21 * b1 + r22 * b2
+    velocity = (
+        c * vx + s * vy - CRANK * SPEED * sq + turn * u[1],
+        c * vy - s * vx - CRANK * SPEED * cq - turn * (COUPLER + u[0]),
+        vz,
+    )
+    wx, wy = r00 * o1 + r01 * o2 + r02 * o3, r10 * o1 + r11 * o2 + r12 * o3
+    spin = (c * wx + s * wy, c * wy - s * wx, r20 * o1 + r21 * o2 + r22 * o3 - turn)
+    turning = (
+        spin[1] * a[2] - spin[2] * a[1],
+        spin[2] * a[0] - spin[0] * a[2],
+        spin[0] * a[1] - spin[1] * a[0],
+    )
+    half = 0.5 * p.length
+    e = end_force(p, -half, u, a, slope, velocity, spin, turning, y[9])
+    f = end_force(p, half, u, a, slope, velocity, spin, turning, y[10])
+    fx, fy, fz = e[0] + f[0], e[1] + f[1], e[2] + f[2]
+    mx, my, mz = e[3] + f[3], e[4] + f[4], e[5] + f[5]
+    # Coupler about A.
+    moment = -(mz + (COUPLER + u[0]) * fy - u[1] * fx)
+    qdd = (moment - HALF_COUPLER * (CRANK * SPEED * SPEED * sq + GRAVITY * c)) / COUPLER_INERTIA
+    # Follower about D, in its own axes.
+    hx, hy, nx, ny = c * fx - s * fy, s * fx + c * fy, c * mx - s * my, s * mx + c * my
+    f2 = r01 * hx + r11 * hy + r21 * fz
+    f3 = r02 * hx + r12 * hy + r22 * fz
+    t1 = r00 * nx + r10 * ny + r20 * mz
+    t2 = r01 * nx + r11 * ny + r21 * mz - FOLLOWER * f3 + HALF_FOLLOWER * GRAVITY * r12
+    t3 = r02 * nx + r12 * ny + r22 * mz + FOLLOWER * f2 - HALF_FOLLOWER * GRAVITY * r11
+    d2 = (t2 - (THIN - SWING_INERTIA) * o3 * o1) / SWING_INERTIA
+    d3 = (t3 - (SWING_INERTIA - THIN) * o1 * o2) / SWING_INERTIA
+    return (
+        qd,
+        0.5 * (-x * o1 - yy * o2 - z * o3),
+        0.5 * (w * o1 + yy * o3 - z * o2),
+        0.5 * (w * o2 + z * o1 - x * o3),
+        0.5 * (w * o3 + x * o2 - yy * o1),
+        qdd,
+        t1 / THIN,
+        d2,
+        d3,
+        0.0,  # impact speeds stand still
+        0.0,
+    )

@@ -1,11 +1,9 @@
 """The slider-crank of `peers.rig`, written by hand for numba: what a user without a library would
 write.
 
-Coordinates are the rod's angle and the slider's place. Two ways to hold the impact speed: a memory
-that follows the approach speed, as in many programs (`memory_time` > 0), and exact capture, in
-which the step that would enter the contact is shortened to end at first touch (`memory_time` = 0).
-`slider_crank_in_c` is the same in C. Beside the fixed steps stands an adaptive run, for a user who
-writes that by hand as well.
+Coordinates are the rod's angle and the slider's place. The step that would enter the contact is
+shortened to end at first touch, which captures the impact speed. Beside the fixed steps stands an
+adaptive run, for a user who writes that by hand as well.
 """
 
 import math
@@ -23,14 +21,14 @@ CENTRE = 1e-4
 
 @numba.njit(inline="always", error_model="numpy")
 def _forces(p, c, stiffness, cth, sth, phi, x, w, u, memory):
-    """(accelerations of rod and slider, rate of the memory, indentation, its rate, normal
-    force)."""
+    """(accelerations of rod and slider, indentation, its rate, normal force); `memory`: impact
+    speed."""
     sphi, cphi = math.sin(phi), math.cos(phi)
     ex, ey = x - p.crank * cth - p.rod * cphi, -p.crank * sth - p.rod * sphi
     moment = p.pull * (sth * cphi - cth * sphi)
     square = ex * ex + ey * ey
     if square < (CENTRE * c) ** 2:
-        return moment / p.inertia, 0.0, 0.0, -c, 0.0, 0.0
+        return moment / p.inertia, 0.0, -c, 0.0, 0.0
     vx, vy = (
         u + p.crank * p.speed * sth + p.rod * w * sphi,
         -p.crank * p.speed * cth - p.rod * w * cphi,
@@ -39,8 +37,7 @@ def _forces(p, c, stiffness, cth, sth, phi, x, w, u, memory):
     nx, ny = ex / r, ey / r
     delta, rate = r - c, nx * vx + ny * vy
     if delta <= 0.0:
-        follow = (max(rate, 0.0) - memory) / p.memory_time if p.memory_time > 0.0 else 0.0
-        return moment / p.inertia, 0.0, follow, delta, rate, 0.0
+        return moment / p.inertia, 0.0, delta, rate, 0.0
     loss = 1.0 + p.damping * rate / max(memory, p.slowest)
     normal = stiffness * delta * math.sqrt(delta) * max(loss, 0.0)
     reach = p.radius + 0.5 * delta
@@ -49,77 +46,62 @@ def _forces(p, c, stiffness, cth, sth, phi, x, w, u, memory):
     drag = -math.copysign(p.mu * share, slip) * normal
     fx, fy = -normal * nx - drag * ny, -normal * ny + drag * nx
     moment -= p.rod * (cphi * fy - sphi * fx) + reach * drag
-    return moment / p.inertia, fx / p.slider, 0.0, delta, rate, normal
+    return moment / p.inertia, fx / p.slider, delta, rate, normal
 
 
 @numba.njit(inline="always", error_model="numpy")
-def _step(p, c, k, t, h, y, f):
-    """One classical Runge-Kutta step from y = (phi, x, w, u, memory) with forces f there: (y, f) at
-    its end.
-    """
-    phi, x, w, u, m = y
+def _step(p, c, k, t, h, y, m, f):
+    """One classical Runge-Kutta step from y = (phi, x, w, u) with forces f there: (y, f) at its
+    end."""
+    phi, x, w, u = y
     half = 0.5 * h
     cm, sm = math.cos(p.speed * (t + half)), math.sin(p.speed * (t + half))
     ce, se = math.cos(p.speed * (t + h)), math.sin(p.speed * (t + h))
     w2, u2 = w + half * f[0], u + half * f[1]
-    g = _forces(p, c, k, cm, sm, phi + half * w, x + half * u, w2, u2, m + half * f[2])
+    g = _forces(p, c, k, cm, sm, phi + half * w, x + half * u, w2, u2, m)
     w3, u3 = w + half * g[0], u + half * g[1]
-    i = _forces(p, c, k, cm, sm, phi + half * w2, x + half * u2, w3, u3, m + half * g[2])
+    i = _forces(p, c, k, cm, sm, phi + half * w2, x + half * u2, w3, u3, m)
     w4, u4 = w + h * i[0], u + h * i[1]
-    j = _forces(p, c, k, ce, se, phi + h * w3, x + h * u3, w4, u4, m + h * i[2])
+    j = _forces(p, c, k, ce, se, phi + h * w3, x + h * u3, w4, u4, m)
     s = h / 6.0
     phi += s * (w + 2.0 * (w2 + w3) + w4)
     x += s * (u + 2.0 * (u2 + u3) + u4)
     w += s * (f[0] + 2.0 * (g[0] + i[0]) + j[0])
     u += s * (f[1] + 2.0 * (g[1] + i[1]) + j[1])
-    m += s * (f[2] + 2.0 * (g[2] + i[2]) + j[2])
-    return (phi, x, w, u, m), _forces(p, c, k, ce, se, phi, x, w, u, m)
+    return (phi, x, w, u), _forces(p, c, k, ce, se, phi, x, w, u, m)
 
 
 @numba.njit(error_model="numpy")
 def _to_touch(p, c, t, h, y, f):
-    """(time, state) of first touch within a step that began open: flight without contact, shortened
-    until the gap is 0.
-    """
+    """(time, state, impact speed) of first touch within a step that began open: flight without
+    contact, shortened until the gap is 0."""
     for n in range(TOUCH_STEPS + 1):
-        z, g = _step(p, c, 0.0, t, h, y, f)
+        z, g = _step(p, c, 0.0, t, h, y, 0.0, f)
         if n < TOUCH_STEPS:
-            h -= g[3] / g[4]
-    return t + h, (z[0], z[1], z[2], z[3], g[4])
+            h -= g[2] / g[3]
+    return t + h, z, g[3]
 
 
 @numba.njit(error_model="numpy")
 def _run(p, c, saves, per_save, h, out):
     """Slider's place at `saves` times into `out`; returns the peak force."""
     k = 4.0 / 3.0 * p.modulus * math.sqrt((p.radius - c) * p.radius / c)
-    y = (0.0, p.crank + p.rod, -p.crank * p.speed / p.rod, 0.0, 0.0)
-    f = _forces(p, c, k, 1.0, 0.0, y[0], y[1], y[2], y[3], y[4])
+    y, m = (0.0, p.crank + p.rod, -p.crank * p.speed / p.rod, 0.0), 0.0
+    f = _forces(p, c, k, 1.0, 0.0, y[0], y[1], y[2], y[3], m)
     peak, closed = 0.0, False
     for save in range(saves):
         for i in range(per_save):
             n = save * per_save + i
             t, rest = n * h, h
-            while True:
-                z, g = _step(p, c, k, t, rest, y, f)
-                if closed or g[3] <= 0.0 or p.memory_time > 0.0:
-                    break
-                t, y = _to_touch(p, c, t, rest, y, f)
-                f = _forces(
-                    p,
-                    c,
-                    k,
-                    math.cos(p.speed * t),
-                    math.sin(p.speed * t),
-                    y[0],
-                    y[1],
-                    y[2],
-                    y[3],
-                    y[4],
-                )
-                rest, closed = (n + 1) * h - t, True
-            closed = g[3] > 0.0
+            z, g = _step(p, c, k, t, rest, y, m, f)
+            if not closed and g[2] > 0.0:
+                t, y, m = _to_touch(p, c, t, rest, y, f)
+                ct, st = math.cos(p.speed * t), math.sin(p.speed * t)
+                f = _forces(p, c, k, ct, st, y[0], y[1], y[2], y[3], m)
+                z, g = _step(p, c, k, t, (n + 1) * h - t, y, m, f)
+            closed = g[2] > 0.0
             y, f = z, g
-            peak = max(peak, g[5])
+            peak = max(peak, g[4])
         out[save] = y[1]
     return peak
 
@@ -157,7 +139,7 @@ def _embedded(p, c, k, t, h, y, m, slopes, z, rtol, atol):
     """One step of Dormand and Prince from y, its slope in slopes[0]: (indentation, rate, force at
     its end z, error).
     """
-    last = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    last = (0.0, 0.0, 0.0, 0.0, 0.0)
     for i in range(6):
         for n in range(4):
             moved = 0.0
@@ -178,7 +160,7 @@ def _embedded(p, c, k, t, h, y, m, slopes, z, rtol, atol):
         for j in range(7):
             off += _GAPS[j] * slopes[j, n]
         worst = max(worst, abs(h * off) / (atol + rtol * max(abs(y[n]), abs(z[n]))))
-    return last[3], last[4], last[5], worst
+    return last[2], last[3], last[4], worst
 
 
 @numba.njit(error_model="numpy")

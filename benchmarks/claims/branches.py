@@ -11,15 +11,14 @@ quadrature of 2^18 points. "wrong yet trusted" is the share of answers that are 
 whose interval does not hold.
 """
 
-import argparse
-from pathlib import Path
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 from scipy import stats
 
 import jaxclear as jc
-from benchmarks.measure import report, sign
+from benchmarks.measure import run_tables
 
 
 def responses(**scores):
@@ -173,25 +172,19 @@ CASES = {
 }
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true")
-    parser.add_argument("--cases", nargs="*", default=list(CASES), choices=list(CASES))
-    parser.add_argument("--repetitions", type=int, default=48)
-    parser.add_argument("--json", type=Path)
-    options = parser.parse_args()
+def rows_of(options: Any) -> list[dict]:
+    """A row for each response and number of samples."""
     rows = []
     for title in options.cases[: 1 if options.quick else None]:
         case = CASES[title]()
         for samples in (256,) if options.quick else (256, 1024):
             rows += study(title, case, samples, 3 if options.quick else options.repetitions)
-    report("Derivatives where few parts take another branch", rows, options)
-    sign(
-        "benchmarks.claims.branches",
-        options.json,
-        ["Derivatives where few parts take another branch"],
-    )
+    return rows
 
 
 if __name__ == "__main__":
-    main()
+    run_tables(
+        {"Derivatives where few parts take another branch": rows_of},
+        cases={"nargs": "*", "default": list(CASES), "choices": list(CASES)},
+        repetitions={"type": int, "default": 48},
+    )

@@ -6,7 +6,6 @@ journal, a pendulum of two links, a link in two bearings, slider-cranks with one
 with friction and without, elastic and plastic impacts. References are slopes in steps of 0.1 us
 where those in steps of 0.2 us say the same; other slopes are not counted. A right one is off by a
 fiftieth of itself at the most. Takes a quarter of an hour.
-`--json benchmarks/results/compared_slopes.json` keeps it.
 """
 
 import functools
@@ -22,7 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxclear as jc
-from benchmarks.measure import arguments, report, sign
+from benchmarks.measure import run_tables
 from jaxclear.integrators import derivative_error, moreau_jean
 from jaxclear.simulation import derivatives
 
@@ -263,8 +262,8 @@ def known(references: np.ndarray) -> np.ndarray:
     return counts & (abs(fine - other) < ALIKE * scale)
 
 
-def main() -> None:
-    options = arguments(__doc__)
+def rows_of(options: Any) -> list[dict[str, Any]]:
+    """A row for each rule and step."""
     chosen = list(rigs())[::6] if options.quick else list(rigs())
     errors: dict[tuple[str, float], list[np.ndarray]] = {}
     for number, rig in enumerate(chosen, 1):
@@ -276,9 +275,7 @@ def main() -> None:
                 errors.setdefault((name, step), []).append(off)
         jax.clear_caches()
         print(f"{number} of {len(chosen)}", flush=True)
-    rows = [_row(name, step, np.concatenate(off)) for (name, step), off in errors.items()]
-    report("slopes of rigid steps", rows, options)
-    sign("benchmarks.claims.compared_slopes", options.json)
+    return [_row(name, step, np.concatenate(off)) for (name, step), off in errors.items()]
 
 
 def _row(name: str, step: float, off: np.ndarray) -> dict[str, Any]:
@@ -295,4 +292,4 @@ def _row(name: str, step: float, off: np.ndarray) -> dict[str, Any]:
 
 
 if __name__ == "__main__":
-    main()
+    run_tables({"slopes of rigid steps": rows_of})

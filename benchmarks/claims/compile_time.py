@@ -4,7 +4,7 @@ set-valued; of the four-bar on every rung; on MoreauJean with wear; of mechanism
 spatial loops, with the reactions and the memory; and of studies. With nothing kept by an
 earlier process, and with what one has kept.
 
-    python -m benchmarks.claims.compile_time [--quick] [--only loops|studies] [--models FILE ...]
+    python -m benchmarks.claims.compile_time [--quick] [--only TEXT] [--models FILE ...]
         [--json FILE]
 
 `--models` reads robots from files of MJCF, which are measured as mechanisms of several loops.
@@ -14,7 +14,6 @@ that of JAX. A first run is all from the scene's function to the first trajector
 itself takes is part of it: the same run once more tells how much that is.
 """
 
-import json
 import os
 import statistics
 import subprocess
@@ -23,7 +22,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from benchmarks.measure import about, arguments, report, sign
+from benchmarks.measure import run_tables
 
 PROGRAM = """
 import time
@@ -112,12 +111,6 @@ IMPORT = "import time; begun = time.process_time(); import {}; print(time.proces
 TURNS = 9
 
 
-def measured(scene: str, span: float, integrator: str, cache: str | None) -> list[float]:
-    """CPU seconds to import, to build and assemble, of the first run, and of the second one, in a
-    new process."""
-    return told(PROGRAM.format(scene=scene, span=span, integrator=integrator), cache)
-
-
 def told(program: str, cache: str | None = None) -> list[float]:
     """The numbers that a program prints in a new process."""
     without = ("JAX_COMPILATION_CACHE_DIR", "PYTHONDONTWRITEBYTECODE")
@@ -130,23 +123,19 @@ def told(program: str, cache: str | None = None) -> list[float]:
     return [float(word) for word in done.stdout.split()]
 
 
-def imports() -> dict[str, Any]:
+def imports(_: Any) -> list[dict[str, Any]]:
     """What the import takes beside JAX's own [CPU s]."""
     spent = [[told(IMPORT.format(name))[0] for name in ("jax", "jaxclear")] for _ in range(TURNS)]
     of_jax, own = (statistics.median(each) for each in zip(*spent[1:], strict=True))
-    return {
-        "import jax [s]": of_jax,
-        "import jaxclear [s]": own,
-        "times": own / of_jax,
-        "asked for": 3.0,
-    }
+    row = {"import jax [s]": of_jax, "import jaxclear [s]": own}
+    return [row | {"times": own / of_jax, "asked for": 3.0}]
 
 
 def row_of(scene: str, span: float, integrator: str, limit: float) -> dict[str, Any]:
     """A scene on an integrator."""
     with tempfile.TemporaryDirectory() as folder:
-        plain = measured(scene, span, integrator, folder)
-        cached = measured(scene, span, integrator, folder)
+        program = PROGRAM.format(scene=scene, span=span, integrator=integrator)
+        plain, cached = (told(program, folder) for _ in range(2))
     first = plain[1] + plain[2]
     return {
         "scene": scene,
@@ -161,7 +150,7 @@ def row_of(scene: str, span: float, integrator: str, limit: float) -> dict[str, 
     }
 
 
-def study_rows() -> list[dict[str, Any]]:
+def study_rows(_: Any) -> list[dict[str, Any]]:
     """The first studies of a problem: a sample, and derivatives of its mean."""
     with tempfile.TemporaryDirectory() as folder:
         first, second = (told(STUDIES, folder) for _ in range(2))
@@ -177,8 +166,10 @@ def study_rows() -> list[dict[str, Any]]:
     ]
 
 
-def loop_rows(rigs: dict[str, str]) -> list[dict[str, Any]]:
+def loop_rows(options: Any) -> list[dict[str, Any]]:
     """Mechanisms of several spatial loops, from nothing to the first steps and a reaction."""
+    robots = {Path(path).stem: f"jc.read_mjcf({path!r})" for path in options.models}
+    rigs = dict(list(LOOPS.items())[:: 3 if options.quick else 1]) | robots
     rows = []
     for name, rig in rigs.items():
         own_import, assembly, run, reaction, memory = told(SPATIAL.format(rig=rig))
@@ -197,44 +188,35 @@ def loop_rows(rigs: dict[str, str]) -> list[dict[str, Any]]:
     return rows
 
 
-def main() -> None:
-    options = arguments(
-        __doc__,
-        only={"choices": ("loops", "studies"), "help": "only these"},
-        models={"nargs": "*", "default": [], "help": "robots in files of MJCF"},
-    )
-    robots = {Path(path).stem: f"jc.read_mjcf({path!r})" for path in options.models}
-    rigs = dict(list(LOOPS.items())[:: 3 if options.quick else 1]) | robots
-    studies = "First studies in a new process, CPU time"
-    if options.only != "loops":
-        report(studies, study_rows(), options)
-    if options.only == "studies":
-        sign("benchmarks.claims.compile_time", options.json, (studies,))
-        return
-    loops = "First steps of mechanisms of several spatial loops in a new process, CPU time"
-    report(loops, loop_rows(rigs), options)
-    if options.only == "loops":
-        sign("benchmarks.claims.compile_time", options.json, (loops,))
-        return
-    report("Import in a new process, CPU time", [imports()], options)
-    every = 3 if options.quick else 1
-    scenes = list(SCENES.items())[::every]
-    usual = {scene: "MoreauJean()" if scene in SET_VALUED else "Adaptive()" for scene in SCENES}
-    rows = [row_of(scene, span, usual[scene], LIMIT) for scene, span in scenes]
-    report("First run of a scene in a new process, CPU time", rows, options)
-    span = SCENES["four_bar()"]
-    rows = [row_of("four_bar()", span, rung, LIMIT) for rung in RUNGS[::every]]
-    report("First run of the four-bar in a new process, CPU time, by integrator", rows, options)
-    rows = [
-        row_of(scene, SCENES.get(scene, 0.1), "MoreauJean()", OF_MOREAU_JEAN)
-        for scene in WEARING[::every]
+def scene_rows(options: Any) -> list[dict[str, Any]]:
+    """Of every scene on its usual integrator."""
+    return [
+        row_of(scene, span, "MoreauJean()" if scene in SET_VALUED else "Adaptive()", LIMIT)
+        for scene, span in list(SCENES.items())[:: 3 if options.quick else 1]
     ]
-    report("First run on MoreauJean with wear in a new process, CPU time", rows, options)
-    if options.json is not None:
-        told = {"about": about("benchmarks.claims.compile_time", options.json)}
-        known = json.loads(options.json.read_text())
-        options.json.write_text(json.dumps(told | known | told, indent=1) + "\n")
 
+
+def rung_rows(options: Any) -> list[dict[str, Any]]:
+    """Of the four-bar."""
+    span, rungs = SCENES["four_bar()"], RUNGS[:: 3 if options.quick else 1]
+    return [row_of("four_bar()", span, rung, LIMIT) for rung in rungs]
+
+
+def wearing_rows(options: Any) -> list[dict[str, Any]]:
+    """Of scenes that wear."""
+    scenes = WEARING[:: 3 if options.quick else 1]
+    return [row_of(s, SCENES.get(s, 0.1), "MoreauJean()", OF_MOREAU_JEAN) for s in scenes]
+
+
+TABLES = {
+    "First studies in a new process, CPU time": study_rows,
+    "First steps of mechanisms of several spatial loops in a new process, CPU time": loop_rows,
+    "Import in a new process, CPU time": imports,
+    "First run of a scene in a new process, CPU time": scene_rows,
+    "First run of the four-bar in a new process, CPU time, by integrator": rung_rows,
+    "First run on MoreauJean with wear in a new process, CPU time": wearing_rows,
+}
 
 if __name__ == "__main__":
-    main()
+    robots = {"nargs": "*", "default": [], "help": "robots in files of MJCF"}
+    run_tables(TABLES, models=robots)

@@ -15,7 +15,6 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import jaxlie
 from jax.extend.core import ClosedJaxpr, Jaxpr
 from jax.interpreters import partial_eval
 
@@ -29,15 +28,12 @@ from benchmarks.claims.four_bar_variants import (
     start_of,
     without,
 )
-from benchmarks.measure import arguments, report, seconds_to_compile, sign
-from jaxclear.ground.pose import Pose, rotation_z
+from benchmarks.measure import run_tables, seconds_to_compile
 from jaxclear.scenes.four_bar import KINDS, four_bar
-from jaxclear.simulation.simulate import run
 
 BUDGET = Path(__file__).with_name("equations_budget.json")
 # Equations of the reference function; its compile time is the unit in which the budget is written.
 REFERENCE_LENGTH = 400
-SAVES = 26
 
 
 def traced(mechanism: jc.Mechanism) -> tuple[Any, tuple]:
@@ -61,18 +57,9 @@ def primitives(function: Any, args: tuple) -> Counter:
 def _count(jaxpr: Jaxpr) -> Counter:
     counts: Counter = Counter()
     for equation in jaxpr.eqns:
-        inner = [
-            x
-            for value in equation.params.values()
-            for x in (value if isinstance(value, tuple) else (value,))
-        ]
-        inner = [
-            x.jaxpr if isinstance(x, ClosedJaxpr) else x
-            for x in inner
-            if isinstance(x, (Jaxpr, ClosedJaxpr))
-        ]
+        inner = [x for x in jax.tree.leaves(equation.params) if isinstance(x, (Jaxpr, ClosedJaxpr))]
         for program in inner:
-            counts += _count(program)
+            counts += _count(getattr(program, "jaxpr", program))
         if not inner:
             counts[equation.primitive.name] += 1
     return counts
@@ -94,25 +81,12 @@ def reference_seconds() -> float:
     return min(seconds_to_compile(reference, jnp.ones(2))[1] for _ in range(3))
 
 
-def simulation_seconds(mechanism: jc.Mechanism, integrator: Any) -> float:
-    """Seconds to compile a whole run."""
-    start = jc.assemble(mechanism)
-    times = jnp.linspace(0.0, 0.01, SAVES)
-    numbers, rest = eqx.partition((mechanism, integrator), eqx.is_array)
-
-    def program(numbers, q, v):
-        mechanism, integrator = eqx.combine(numbers, rest)
-        return eqx.filter(run(mechanism, q, v, times, integrator), eqx.is_array)
-
-    return seconds_to_compile(program, numbers, start.coordinates, start.speeds)[1]
-
-
-def measure(mechanism: jc.Mechanism, unit: float, whole: bool) -> dict[str, Any]:
+def measure(mechanism: jc.Mechanism, unit: float) -> dict[str, Any]:
     """One row of the table."""
     layout = parts(mechanism)[1]
     function, args = traced(mechanism)
     compiled, seconds = seconds_to_compile(function, *args)
-    row = {
+    return {
         "coordinates": layout.coordinates,
         "speeds": layout.speeds,
         "state": layout.size,
@@ -122,10 +96,6 @@ def measure(mechanism: jc.Mechanism, unit: float, whole: bool) -> dict[str, Any]
         "compile rate [s]": seconds,
         "compile ratio": seconds / unit,
     }
-    if whole:
-        row["compile FixedStep [s]"] = simulation_seconds(mechanism, jc.integrator.FixedStep())
-        row["compile Adaptive [s]"] = simulation_seconds(mechanism, jc.integrator.Adaptive())
-    return row
 
 
 def over_budget(rows: list[dict[str, Any]]) -> list[str]:
@@ -139,13 +109,12 @@ def over_budget(rows: list[dict[str, Any]]) -> list[str]:
     ]
 
 
-def variant_rows(whole: bool) -> list[dict[str, Any]]:
-    measure(build(VARIANTS[0]), 1.0, False)  # what is compiled first pays for starting the compiler
+def variant_rows() -> list[dict[str, Any]]:
+    measure(build(VARIANTS[0]), 1.0)  # what is compiled first pays for starting the compiler
     unit = reference_seconds()
-    rows = [{"variant": v.name} | measure(build(v), unit, whole) for v in VARIANTS]
+    rows = [{"variant": v.name} | measure(build(v), unit) for v in VARIANTS]
     return rows + [
-        {"variant": f"scenes.four_bar {kind}"} | measure(four_bar(kind), unit, whole)
-        for kind in KINDS
+        {"variant": f"scenes.four_bar {kind}"} | measure(four_bar(kind), unit) for kind in KINDS
     ]
 
 
@@ -163,46 +132,23 @@ def absence_rows() -> list[dict[str, Any]]:
                         "with it": sum(rate_primitives(build(variant)).values()),
                         "never given": sum(rate_primitives(build(poorer)).values()),
                         "taken out": sum(
-                            rate_primitives(without(build(variant), variant.kind, feature)).values()
+                            rate_primitives(without(build(variant), feature)).values()
                         ),
                     }
                 )
     return rows
 
 
-def pose_rows() -> list[dict[str, Any]]:
-    """Why poses are not jaxlie's in the hot path: equations to place a point of a coupler on a
-    crank, both turning about z.
-    """
-
-    def with_sparse(a, b, x):
-        outer = Pose(rotation_z(a), (0, 0, 0))
-        inner = Pose(rotation_z(b), (x, 0, 0))
-        return [c for c in outer.after(inner).point((x, 0, 0)) if not isinstance(c, int)]
-
-    def with_jaxlie(a, b, x):
-        at, still = jnp.stack([x, 0 * x, 0 * x]), jnp.zeros(3)
-        outer = jaxlie.SE3.from_rotation_and_translation(jaxlie.SO3.from_z_radians(a), still)
-        inner = jaxlie.SE3.from_rotation_and_translation(jaxlie.SO3.from_z_radians(b), at)
-        return (outer @ inner) @ at
-
-    args = (0.3, 0.4, 0.1)
-    functions = {"sparse scalars (ours)": with_sparse, "jaxlie SE3": with_jaxlie}
-    return [
-        {"poses by": name, "equations": sum(primitives(f, args).values())}
-        for name, f in functions.items()
-    ]
-
-
-def main() -> None:
-    options = arguments(__doc__)
-    rows = variant_rows(whole=not options.quick)
-    report("equations: variants of the four-bar", rows, options)
-    report("equations: what is absent", absence_rows(), options)
-    report("equations: a point carried through two turning frames", pose_rows(), options)
-    sign("benchmarks.claims.equations", options.json)
+def budgeted_rows(_: Any) -> list[dict[str, Any]]:
+    rows = variant_rows()
     print("\n".join(over_budget(rows)) or "\nwithin the budget")
+    return rows
 
+
+TABLES = {
+    "equations: variants of the four-bar": budgeted_rows,
+    "equations: what is absent": lambda _: absence_rows(),
+}
 
 if __name__ == "__main__":
-    main()
+    run_tables(TABLES)

@@ -1,28 +1,25 @@
 """What a run costs beside its steps: a sample of a study by the size of its chunks and by how often
 it is saved, with steps and without (a run of no length, which takes one step of no length for each
 saving time); and a call of `simulate`, of the same numbers and of others each time, and of
-`Problem.evaluate`, as a loop of SciPy's makes them.
+`Problem.evaluate`, as a loop of SciPy's makes them; and what a film costs in a batch.
 
 CPU time, all in one process, the cases taking turns; of samples also as a share of what the
-smallest chunks take. `--json benchmarks/results/fixed_costs.json` keeps it.
+smallest chunks take.
 """
 
 import functools
 import itertools
 import os
-import statistics
 import tempfile
-import time
 from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 
 import jaxclear as jc
-from benchmarks.measure import arguments, report, sign
+from benchmarks.measure import run_tables, side_by_side
 from jaxclear.studies.store import batch
 
 # Samples of a study, and chunks of them.
@@ -50,6 +47,10 @@ STUDIES = (
     ("four-bar", "length", 51, False),
 )
 TURNS, CALLS = 7, 40
+FILMS = {"none": None} | {
+    name: getattr(jc.film, name)(viscosity=0.01)
+    for name in ("ShortHalfFilm", "HalfFilm", "Reynolds")
+}
 
 
 def problem(scene: str, varied: str, saves: int, idle: bool = False) -> jc.Problem:
@@ -65,16 +66,9 @@ def problem(scene: str, varied: str, saves: int, idle: bool = False) -> jc.Probl
     return asked.with_experiment(asked.cost().idle) if idle else asked
 
 
-def by_turns(cases: dict[Any, Callable[[], Any]], turns: int) -> dict[Any, float]:
-    """Median CPU seconds of each case; each runs once before."""
-    spent: dict[Any, list[float]] = {name: [] for name in cases}
-    for turn in range(turns + 1):
-        for name, case in cases.items():
-            begun = time.process_time()
-            jax.block_until_ready(case())
-            if turn:
-                spent[name].append(time.process_time() - begun)
-    return {name: statistics.median(own) for name, own in spent.items()}
+def smallest(cases: dict[Any, Callable[[], Any]], turns: int) -> dict[Any, float]:
+    """CPU seconds of each case."""
+    return {name: cpu for name, (_, cpu) in side_by_side(cases, turns).items()}
 
 
 def sample_row(scene: str, varied: str, saves: int, idle: bool, turns: int) -> dict[str, Any]:
@@ -83,7 +77,7 @@ def sample_row(scene: str, varied: str, saves: int, idle: bool, turns: int) -> d
     spread = np.random.default_rng(0).uniform(-2e-5, 2e-5, size=(SAMPLES, 1))
     values = np.asarray(asked.nominal()) + spread
     cases = {n: functools.partial(batch.evaluate_all, asked, values, chunk=n) for n in CHUNKS}
-    spent = by_turns(cases, turns)
+    spent = smallest(cases, turns)
     row: dict[str, Any] = {"scene": scene, "varied": varied, "saves": saves}
     row["steps"] = "none" if idle else 500
     row |= {f"chunks of {n} [us/sample]": 1e6 * spent[n] / SAMPLES for n in CHUNKS}
@@ -115,7 +109,7 @@ def call_rows(turns: int) -> list[dict[str, Any]]:
         for name, pair in calls.items()
         for i, call in enumerate(pair)
     }
-    spent = by_turns(cases, turns)
+    spent = smallest(cases, turns)
     return [
         {
             "call": name,
@@ -126,20 +120,65 @@ def call_rows(turns: int) -> list[dict[str, Any]]:
     ]
 
 
+def film_problem(film: Any) -> jc.Problem:
+    """A journal pressed down and turned in its bearing, its clearance varied."""
+    gap = jc.clearance.PlanarJournalBearing(
+        jc.contact.CarvalhoMartins(), bearing_radius=1e-2, clearance=2e-4, length=2e-2, film=film
+    )
+    rig = jc.Mechanism(
+        {"journal": jc.Body(1.0, 1e-4)},
+        {"B": jc.Connection(gap, "ground", "journal")},
+        {"gravity": jc.load.Gravity()},
+        speeds={"journal": (0.0, 0.0, 100.0)},
+    )
+    clearance = jc.Variable(VARIED["clearance"], tolerance=20e-6)
+    place = lambda run: run.body("journal").com[-1, 1]
+    how = {"duration": DURATION, "save": 3, "integrator": STEP}
+    return jc.Problem(rig, {"place": place}, {"clearance": clearance}, **how)
+
+
+def film_rows(turns: int) -> list[dict[str, Any]]:
+    """CPU nanoseconds of a Runge-Kutta step of a journal with a film in a batch of runs, that of a
+    run of no length taken off; and of an evaluation of the film, of which a step has four."""
+    values = 2e-4 + np.random.default_rng(0).uniform(-2e-5, 2e-5, size=(SAMPLES, 1))
+    cases: dict[Any, Callable[[], Any]] = {}
+    for name, film in FILMS.items():
+        moving = film_problem(film)
+        still = moving.with_experiment(moving.cost().idle)
+        cases[name, True] = functools.partial(batch.evaluate_all, moving, values)
+        cases[name, False] = functools.partial(batch.evaluate_all, still, values)
+    spent, steps = smallest(cases, turns), SAMPLES * round(DURATION / float(STEP.step))
+    step = {name: 1e9 * (spent[name, True] - spent[name, False]) / steps for name in FILMS}
+    return [
+        {
+            "film": name,
+            "an rk4 step [ns]": step[name],
+            "an evaluation of the film [ns]": (step[name] - step["none"]) / 4 if film else None,
+        }
+        for name, film in FILMS.items()
+    ]
+
+
 def _often(call: Callable[[], Any]) -> Any:
     return [call() for _ in range(CALLS)]
 
 
-def main() -> None:
-    options = arguments(__doc__)
-    turns = 2 if options.quick else TURNS
+def sample_rows(options: Any) -> list[dict[str, Any]]:
     studies = STUDIES[:2] if options.quick else STUDIES
-    with tempfile.TemporaryDirectory() as folder:
-        os.environ["JAXCLEAR_CACHE"] = folder
-        report("A call", call_rows(turns), options)
-        report("A sample of a study", [sample_row(*own, turns) for own in studies], options)
-    sign("benchmarks.claims.fixed_costs", options.json)
+    return [sample_row(*study, turns_of(options)) for study in studies]
 
+
+def turns_of(options: Any) -> int:
+    return 2 if options.quick else TURNS
+
+
+TABLES = {
+    "A call": lambda options: call_rows(turns_of(options)),
+    "A sample of a study": sample_rows,
+    "A film in a batch": lambda options: film_rows(turns_of(options)),
+}
 
 if __name__ == "__main__":
-    main()
+    with tempfile.TemporaryDirectory() as folder:
+        os.environ["JAXCLEAR_CACHE"] = folder
+        run_tables(TABLES)

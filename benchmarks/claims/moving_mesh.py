@@ -9,47 +9,43 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxclear as jc
-from benchmarks.measure import arguments, report, side_by_side
+from benchmarks.measure import run_tables, side_by_side
 
 THICKNESS, THROUGH = 4e-3, 12
 
 
-def main() -> None:
-    options = arguments(__doc__)
-    sizes = ((72, 20), (144, 60)) if options.quick else ((72, 20), (144, 60), (360, 120))
-    cost, shape = [], []
-    for around, along in sizes:
-        rig = jc.scenes.four_bar("spatial", cells=(around, along))
-        begun = time.process_time()
+def meshes(options):
+    """(mesh, random depths of its map as shares of 1, CPU seconds to build it) by size."""
+    for around, along in ((72, 20), (144, 60), (360, 120))[: 2 if options.quick else None]:
+        rig, start = jc.scenes.four_bar("spatial", cells=(around, along)), time.process_time()
         solid = jc.mesh.solid(rig, "B", thickness=THICKNESS, cells=(around, along, THROUGH))
-        built = time.process_time() - begun
-        cells = len(solid.new.hexahedra())
+        built = time.process_time() - start
         depth = jnp.asarray(np.random.default_rng(0).uniform(size=(around, along)))
-        follow = jax.jit(lambda depth, solid=solid: solid.displacement(depth))
-        times = side_by_side({"follow": lambda f=follow, d=depth: f(d)})["follow"]
-        cost.append(
-            {
-                "cells": cells,
-                "built once [CPU s]": built,
-                "follows [CPU s]": times[1],
-                "follows [CPU s per 1e5 cells]": times[1] / cells * 1e5,
-            }
-        )
-        first = float(jnp.linalg.norm(jnp.diff(solid.new.points[solid.new.groups[0][0, 0, 0, :2]],
-                                               axis=0)))  # fmt: skip
-        for factor in (0.5, 1.0, 2.0, 4.0):
-            worn = solid.worn(factor * first * depth)
-            least = float(worn.scaled_jacobians().min())
-            shape.append(
-                {
-                    "cells": cells,
-                    "deepest cell [first layers]": factor,
-                    "least scaled Jacobian [1]": least,
-                }
-            )
-    report("moving mesh: cost", cost, options)
-    report("moving mesh: shape, every cell of the map worn at random", shape, options)
+        yield solid, depth, built
 
+
+def cost_rows(options):
+    for solid, depth, built in meshes(options):
+        follow, cells = jax.jit(solid.displacement), len(solid.new.hexahedra())
+        cpu = side_by_side({"follow": lambda f=follow, d=depth: f(d)})["follow"][1]
+        row = {"cells": cells, "built once [CPU s]": built, "follows [CPU s]": cpu}
+        yield row | {"follows [CPU s per 1e5 cells]": cpu / cells * 1e5}
+
+
+def shape_rows(options):
+    for solid, depth, _ in meshes(options):
+        ends = solid.new.points[solid.new.groups[0][0, 0, 0, :2]]
+        first = float(jnp.linalg.norm(ends[1] - ends[0]))
+        for factor in (0.5, 1.0, 2.0, 4.0):
+            least = float(solid.worn(factor * first * depth).scaled_jacobians().min())
+            row = {"cells": len(solid.new.hexahedra()), "deepest cell [first layers]": factor}
+            yield row | {"least scaled Jacobian [1]": least}
+
+
+TABLES = {
+    "Moving mesh: cost": cost_rows,
+    "Moving mesh: shape, every cell of the map worn at random": shape_rows,
+}
 
 if __name__ == "__main__":
-    main()
+    run_tables(TABLES)

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxclear as jc
-from benchmarks.measure import arguments, report, seconds_to_compile, side_by_side
+from benchmarks.measure import run_tables, seconds_to_compile, side_by_side
 from jaxclear.studies.store.batch import evaluate_all
 from jaxclear.studies.sampling import draw
 
@@ -51,20 +51,12 @@ def stack() -> jc.Problem:
 
 
 def rows_of(name: str, problem: Any, chunks: tuple[int, ...], many: int) -> list[dict[str, Any]]:
-    out = []
-    for chunk in chunks:
-        values = jnp.asarray(draw(problem, many, 0))
-        spent = side_by_side({name: lambda v=values, c=chunk: evaluate_all(problem, v, chunk=c)})
-        cpu = spent[name][1]
-        out.append(
-            {
-                "problem": name,
-                "variables": len(problem.names),
-                "samples together": chunk,
-                "samples per CPU s": many / cpu,
-            }
-        )
-    return out
+    """A row for each number of samples computed together."""
+    values = jnp.asarray(draw(problem, many, 0))
+    run = lambda chunk: lambda: evaluate_all(problem, values, chunk=chunk)
+    cpu = {chunk: side_by_side({name: run(chunk)})[name][1] for chunk in chunks}
+    row = {"problem": name, "variables": len(problem.names)}
+    return [row | {"samples together": c, "samples per CPU s": many / cpu[c]} for c in chunks]
 
 
 def derivative_rows(problem: jc.Problem, chunk: int) -> list[dict[str, Any]]:
@@ -101,17 +93,19 @@ def agreement_rows(problem: jc.Problem) -> list[dict[str, Any]]:
     return [{"largest change of a coordinate [rad]": float(jnp.abs(first - second).max())}]
 
 
-def main() -> None:
-    options = arguments(__doc__)
-    problem = four_bar()
+def rate_rows(options: Any) -> list[dict[str, Any]]:
+    """Samples a second of both problems."""
     many = 1 << (12 if options.quick else 15)
     chunks = (256, 1024) if options.quick else (64, 256, 512, 1024, 2048)
-    rows = rows_of("four-bar, 36 positions", problem, chunks, many)
-    rows += rows_of("stack of ten", stack(), (1024, 4096, 16384), 1 << 17)
-    report("Samples a second of one core", rows, options)
-    report("The four-bar and its slope along one variable", derivative_rows(problem, 1024), options)
-    report("The four-bar sought anew from where the search ended", agreement_rows(problem), options)
+    rows = rows_of("four-bar, 36 positions", four_bar(), chunks, many)
+    return rows + rows_of("stack of ten", stack(), (1024, 4096, 16384), 1 << 17)
 
+
+TABLES = {
+    "Samples a second of one core": rate_rows,
+    "The four-bar and its slope along one variable": lambda _: derivative_rows(four_bar(), 1024),
+    "The four-bar sought anew from where the search ended": lambda _: agreement_rows(four_bar()),
+}
 
 if __name__ == "__main__":
-    main()
+    run_tables(TABLES)

@@ -2,15 +2,14 @@
 
     python -m benchmarks.claims.reliability [--quick] [--cases RP77 ...] [--json FILE]
 
-`--cases`: these limit states alone; the others, and the mechanisms, stay as they are in the file.
+`--cases`: these limit states alone, with `--only limit`; the others stay as they are in the file.
 
 Limit states: all cases of tests/rigs/limit_states.py, to a coefficient of variation of 10 %. The
 runs are all of them, those of the search for design points too (a run with slopes counts as one for
-each variable more), beside those of plain Monte Carlo to the same error, (1 - P) / (P 0.1^2), and
-those of OpenTURNS' subset sampling on the same limits where it is installed. "off" is the distance
-from the reference in standard errors. What one run tells of its own error is held against studies
-with other seeds: their scatter about their mean, the coefficient of variation that they tell (root
-mean square), and how many of their 95 % intervals hold the reference.
+each variable more), beside those of plain Monte Carlo to the same error, (1 - P) / (P 0.1^2). "off"
+is the distance from the reference in standard errors. What one run tells of its own error is held
+against studies with other seeds: their scatter about their mean, the coefficient of variation that
+they tell (root mean square), and how many of their 95 % intervals hold the reference.
 
 Mechanisms: the four-bar (two turns' error of the follower, clearance and four lengths with standard
 deviations of a third of 20 um) and the antenna (four clearances, two joints radial and axial). A
@@ -18,15 +17,13 @@ threshold that fails often is asked as well and compared with plain Monte Carlo,
 that of the rare one.
 """
 
-import json
 import time
+from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 import jaxclear as jc
-from benchmarks.measure import arguments, report, sign
+from benchmarks.measure import run_tables, stored_rows
 from jaxclear.scenes.antenna import BASE, TIP, antenna
 from jaxclear.scenes.four_bar import four_bar
 from tests.rigs.limit_states import CASES, case
@@ -41,8 +38,6 @@ Normal, Above = jc.distribution.Normal, jc.limit_state.Above
 FOLLOWER, POINTING = 190e-6, 10.29e-3
 # The frequent threshold is that which this share of plain samples stays below.
 OFTEN, PLAIN = 0.98, 2048
-# Repetitions that tell the true error of OpenTURNS' sampling.
-REPEATS = 10
 # Studies with other seeds that tell how far one scatters.
 SEEDS = 8
 STEP, SECONDS, SAVES = 1e-3, 0.5, 51
@@ -111,53 +106,11 @@ def limit_states(names, seeds: int) -> list[dict]:
                 "runs": found.runs,
                 "plain Monte Carlo": round(plain_runs(reference["published"])),
                 "times fewer": plain_runs(reference["published"]) / found.runs,
-                "OpenTURNS subset": openturns_runs(problem, limit),
                 "CPU [s]": spent,
             }
             | over_seeds(ask, reference["low"], reference["high"], seeds)
         )
     return rows
-
-
-def openturns_runs(problem: jc.Problem, limit) -> float | None:
-    """Runs that OpenTURNS' subset sampling takes to the same coefficient of variation, by the
-    spread of repetitions with 1000 samples a level, whatever it says of itself; None where it is
-    not installed or ends with an error."""
-    try:
-        import openturns
-    except ImportError:
-        return None
-    cuts, count = limit.cut_sets(), len(problem.names)
-
-    @jax.jit
-    def margins(normal):
-        responses = jax.vmap(lambda z: problem.evaluate(problem.inputs.values(z)).responses)(normal)
-        own = jax.vmap(limit.margins)(responses)
-        worst = jnp.stack([own[:, jnp.array(sorted(cut))].max(axis=1) for cut in cuts])
-        return worst.min(axis=0)[:, None]
-
-    asked = []
-
-    def sampled(normal):
-        asked.append(len(normal))
-        return np.asarray(margins(jnp.asarray(np.asarray(normal))))
-
-    openturns.RandomGenerator.SetSeed(0)
-    function = openturns.Function(openturns.PythonFunction(count, 1, func_sample=sampled))
-    inputs = openturns.RandomVector(openturns.Normal(count))
-    output = openturns.CompositeRandomVector(function, inputs)
-    answers = []
-    for _ in range(REPEATS):
-        sampling = openturns.SubsetSampling(openturns.ThresholdEvent(output, openturns.Less(), 0.0))
-        sampling.setMaximumOuterSampling(10)
-        sampling.setBlockSize(100)
-        try:
-            sampling.run()
-        except TypeError:  # it refuses some of its own variances where failing is frequent
-            return None
-        answers.append(sampling.getResult().getProbabilityEstimate())
-    spread = np.std(answers, ddof=1) / np.mean(answers)
-    return float(sum(asked) / REPEATS * (spread / ACCURACY) ** 2)
 
 
 def four_bar_problem() -> jc.Problem:
@@ -239,26 +192,26 @@ def mechanism(name: str, problem: jc.Problem, rare: float) -> list[dict]:
     return rows
 
 
-def main() -> None:
-    options = arguments(__doc__, cases={"nargs": "*", "choices": list(CASES)})
-    seeds = 2 if options.quick else SEEDS
-    chosen = options.cases or (QUICK if options.quick else list(CASES))
-    title = "reliability: limit states"
-    rows = limit_states(chosen, seeds)
-    if options.cases and options.json is not None and options.json.exists():
-        before = json.loads(options.json.read_text()).get(title, [])
-        rows += [row for row in before if row["case"] not in chosen]
-        rows.sort(key=lambda row: list(CASES).index(row["case"]))
-    report(title, rows, options)
-    report("reliability: over seeds", together(rows, seeds), options)
-    if not options.quick and not options.cases:
-        rows = mechanism("four-bar", four_bar_problem(), FOLLOWER)
-        report("reliability: four-bar", rows, options)
-        rows = mechanism("antenna", antenna_problem(), POINTING)
-        report("reliability: antenna", rows, options)
-    parts = [f"{title}, {name}" for name in options.cases or []]
-    sign("benchmarks.claims.reliability", options.json, [*parts, "reliability: over seeds"])
+LIMIT_STATES = "reliability: limit states"
 
+
+def all_rows(options: Any) -> list[dict]:
+    """Of the limit states that are asked for anew, of others as they stand."""
+    chosen = options.cases or (QUICK if options.quick else list(CASES))
+    rows = limit_states(chosen, 2 if options.quick else SEEDS)
+    if options.cases:
+        rows += [row for row in stored_rows(LIMIT_STATES, options) if row["case"] not in chosen]
+    return sorted(rows, key=lambda row: list(CASES).index(row["case"]))
+
+
+TABLES = {
+    LIMIT_STATES: all_rows,
+    "reliability: over seeds": lambda o: together(
+        stored_rows(LIMIT_STATES, o) or all_rows(o), 2 if o.quick else SEEDS
+    ),
+    "reliability: four-bar": lambda _: mechanism("four-bar", four_bar_problem(), FOLLOWER),
+    "reliability: antenna": lambda _: mechanism("antenna", antenna_problem(), POINTING),
+}
 
 if __name__ == "__main__":
-    main()
+    run_tables(TABLES, cases={"nargs": "*", "choices": list(CASES)})

@@ -1,6 +1,5 @@
 """What derivatives cost: a run with k slopes over the run alone, by rung, alone and in a batch; the
-gradient in reverse mode; and how much longer the program with slopes compiles. `--memory STEPS`:
-what a gradient in reverse mode keeps.
+gradient in reverse mode; and how much longer the program with slopes compiles.
 
 Ratios are medians over turns of one process, in which the programs follow each other: others load
 the machine. `--json benchmarks/results/slopes.json` keeps rows of earlier calls beside those
@@ -15,7 +14,6 @@ joints is three zones for compliant rungs, Coulomb's for the others.
 """
 
 import functools
-import json
 from collections.abc import Callable
 from typing import Any
 
@@ -25,9 +23,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxclear as jc
-from benchmarks.measure import arguments, by_turns, report, seconds_to_compile, sign
-from jaxclear.multibody.state import lay_out
-from jaxclear.multibody.system import prepare
+from benchmarks.measure import arguments, by_turns, report, seconds_to_compile, sign, stored_rows
 from jaxclear.simulation.derivatives import backwards, is_compared
 from jaxclear.studies.run_experiment import RunExperiment
 
@@ -156,37 +152,13 @@ def measured(
 
 def joined(known: list[dict[str, Any]], found: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """Rows of an earlier call with those of this one: cells measured now count, others stay."""
-    size = lambda row: row.get("samples", row.get("steps"))
-    rows = {size(row): row for row in known}
+    rows = {row["samples"]: row for row in known}
     for row in found:
-        old = rows.get(size(row), {})
+        old = rows.get(row["samples"], {})
         kept = {name: old.get(name) for name, cell in row.items() if cell is None}
-        rows[size(row)] = row | kept
+        rows[row["samples"]] = row | kept
     names = dict.fromkeys(name for row in [*found, *known] for name in row)
     return [{name: rows[own].get(name) for name in names} for own in sorted(rows)]
-
-
-def memory(name: str, scene: str, steps: int) -> dict[str, Any]:
-    """What a gradient in reverse mode keeps beside what it is given, by so many steps and twice as
-    many, as XLA plans it; nothing runs."""
-    saves, every = SAVES - 1, steps // (SAVES - 1)
-
-    def kept(times: int) -> tuple[int, Any]:
-        integrator, end = RUNGS[name], times * steps * STEP
-        if integrator.steps_between_saves is not None:
-            # As many steps between saving times, more saving times.
-            integrator = type(integrator)(steps_per_save=every)
-        asked = problem(scene, integrator, end, times * saves + 1)
-        program, _, _ = compiled(asked, REVERSE, 0)
-        return program.memory_analysis().temp_size_in_bytes, asked
-
-    few, asked = kept(1)
-    many, _ = kept(2)
-    size = lay_out(prepare(asked.seen(asked.setting(asked.nominal())))).size
-    each = (many - few) / steps
-    row = {"scene": scene, "rung": name, "steps": steps, "state [bytes]": 8 * size}
-    row |= {"kept in all [MB]": many / 2**20, "a step more [bytes]": each}
-    return row | {"a step more, in states": each / (8 * size)}
 
 
 def main() -> None:
@@ -197,14 +169,9 @@ def main() -> None:
         slopes={"type": int, "nargs": "*", "default": list(SLOPES), "help": "how many at once"},
         batch={"type": int, "nargs": "*", "default": [0, 64], "help": "0: a run alone"},
         seconds={"type": float, "default": 20.0, "help": "CPU time of the turns of a row"},
-        memory={"type": int, "metavar": "STEPS", "help": "what reverse mode keeps, instead"},
     )
     duration = DURATION / 4 if options.quick else DURATION
     for name in options.rung[:1] if options.quick else options.rung:
-        if options.memory:
-            row = memory(name, options.scene, options.memory)
-            told(f"what reverse mode keeps: {options.scene}, {name}", [row], options)
-            continue
         integrator = RUNGS[name]
         counted = integrator.steps_between_saves is not None
         asked = problem(options.scene, integrator, duration)
@@ -214,15 +181,8 @@ def main() -> None:
             counts = (*(() if counted else slopes), *(() if batch else (REVERSE,)))
             if counts:
                 row = measured(options.scene, name, asked, counts, batch, options.seconds)
-                told(title, [row], options)
-
-
-def told(title: str, rows: list[dict[str, Any]], options: Any) -> None:
-    """Print the rows and keep them, beside those of earlier calls."""
-    path = options.json
-    known = json.loads(path.read_text()) if path is not None and path.exists() else {}
-    report(title, joined(known.get(title, []), rows), options)
-    sign("benchmarks.claims.slopes", path, [title])
+                report(title, joined(stored_rows(title, options), [row]), options)
+                sign("benchmarks.claims.slopes", options.json, [title])
 
 
 if __name__ == "__main__":

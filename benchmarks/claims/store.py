@@ -12,7 +12,7 @@ import numpy as np
 
 import jaxclear as jc
 from benchmarks.claims.positions import stack
-from benchmarks.measure import arguments, report, side_by_side
+from benchmarks.measure import run_tables, side_by_side
 from jaxclear.integrators.checks import Check, Checks
 from jaxclear.studies.experiment import SampleResult
 from jaxclear.studies.store.batch import pack, unpack
@@ -99,12 +99,12 @@ def campaign_rows(samples: int) -> list[dict[str, Any]]:
     ]
 
 
-def main() -> None:
-    options = arguments(__doc__)
-    report("A chunk in a store", chunk_rows(), options)
-    samples = 100_000 if options.quick else 1_000_000
-    report("A campaign that is opened", campaign_rows(samples), options)
-
+TABLES = {
+    "A chunk in a store": lambda _: chunk_rows(),
+    "A campaign that is opened": lambda options: campaign_rows(
+        100_000 if options.quick else 1_000_000
+    ),
+}
 
 if __name__ == "__main__":
-    main()
+    run_tables(TABLES)

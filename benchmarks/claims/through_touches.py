@@ -4,7 +4,6 @@ A journal is thrown down in its bearing and bounces; the slopes of its height by
 speed and the law's own numbers stand beside those of the motion: extrapolated differences of tight
 `Adaptive` runs, and for rigid contact the closed form of the bounces. The largest error over these
 numbers, behind one, two, three and five or six bounces; nan where a run says that it does not know.
-`--json benchmarks/results/through_touches.json` keeps it.
 """
 
 from collections.abc import Callable
@@ -16,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxclear as jc
-from benchmarks.measure import arguments, report, sign
+from benchmarks.measure import run_tables
 
 GRAVITY, CLEARANCE, SPEED, RESTITUTION = 9.81, 1e-3, -0.05, 0.8
 # Ends of runs [s] behind one, two, three and five or six bounces.
@@ -120,24 +119,24 @@ def row(law: str, rung: str, step: float | None, found: dict[str, float]) -> dic
     return {"law": law, "rung": rung, "step [us]": None if step is None else 1e6 * step} | found
 
 
-def main() -> None:
-    options = arguments(__doc__)
+def rows_of(options: Any) -> list[dict[str, Any]]:
+    """A row for each law, rung and step."""
     laws, steps = (dict([*LAWS.items()][:1]), STEPS[2:3]) if options.quick else (LAWS, STEPS)
     rows = []
     for law, (contact, *numbers) in laws.items():
         wanted = of_the_motion(contact, *numbers)
-        own = asked(contact, jc.integrator.Adaptive(), *numbers)
-        rows.append(row(law, "Adaptive", None, errors(own, wanted, None)))
+        adaptive = asked(contact, jc.integrator.Adaptive(), *numbers)
+        rows.append(row(law, "Adaptive", None, errors(adaptive, wanted, None)))
         for rung, integrator in RUNGS.items():
             problem = asked(contact, integrator, *numbers)
             rows += [row(law, rung, step, errors(problem, wanted, step)) for step in steps]
     problem = asked(RIGID[0], jc.integrator.MoreauJean(), *RIGID[1:])
     values = problem.nominal()
     wanted = np.array([jax.jacfwd(by_hand)(values, end) for end in ENDS])
-    rows += [row("Rigid", "MoreauJean", step, errors(problem, wanted, step)) for step in steps]
-    report("Derivatives through bounces: largest error", rows, options)
-    sign("benchmarks.claims.through_touches", options.json)
+    return rows + [
+        row("Rigid", "MoreauJean", step, errors(problem, wanted, step)) for step in steps
+    ]
 
 
 if __name__ == "__main__":
-    main()
+    run_tables({"Derivatives through bounces: largest error": rows_of})

@@ -4,7 +4,6 @@ what a sample of a batch pays for the checks that stay; and a call of `simulate`
 Checks cannot be left out by users; here they are taken out by hand.
 """
 
-import json
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -14,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxclear as jc
-from benchmarks.measure import about, arguments, report, side_by_side
+from benchmarks.measure import run_tables, side_by_side
 from jaxclear.errors.verification import Verified
 from jaxclear.native.compiled import AROUND_A_KERNEL, compiled_quickly
 from jaxclear.simulation import loop
@@ -128,17 +127,15 @@ def call_row(quick: bool) -> dict[str, Any]:
     }
 
 
-def main() -> None:
-    options = arguments(__doc__)
-    cases = QUICK if options.quick else CASES
-    report("CPU time of a verified run", [verified_row(c, options.quick) for c in cases], options)
-    report("CPU time of a batch with checks", [batch_row(c, options.quick) for c in cases], options)
-    report("CPU time of a call", [call_row(options.quick)], options)
-    if options.json:
-        known = json.loads(options.json.read_text())
-        told = {"about": about("benchmarks.claims.verification", options.json)}
-        options.json.write_text(json.dumps(known | told, indent=1) + "\n")
-
+TABLES = {
+    "CPU time of a verified run": lambda options: [
+        verified_row(case, options.quick) for case in (QUICK if options.quick else CASES)
+    ],
+    "CPU time of a batch with checks": lambda options: [
+        batch_row(case, options.quick) for case in (QUICK if options.quick else CASES)
+    ],
+    "CPU time of a call": lambda options: [call_row(options.quick)],
+}
 
 if __name__ == "__main__":
-    main()
+    run_tables(TABLES)

@@ -1,6 +1,6 @@
 """What a wear life costs at which error: on closed forms, and on loads that fall with wear also
-beside the fixed factor of the papers; lives of a million cycles of the four-bar and of the
-3RSR, judged by one with a tighter tolerance; and whether the error told of chaotic motion is that
+beside the fixed factor of the papers; lives of a million cycles of the four-bar,
+judged by one with a tighter tolerance; and whether the error told of chaotic motion is that
 by which lives from other starts differ.
 
 Cycles are all that were simulated, those in which the machine settles included. CPU seconds of a
@@ -9,15 +9,15 @@ warm program; "first time": with compiling.
 
 import math
 import time
+from functools import cache
 from typing import Any, NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 
 import jaxclear as jc
-from benchmarks.measure import arguments, report, sign
+from benchmarks.measure import run_tables
 from tests.rigs.wearing_ring import FORCE, SLOPE, STIFFNESS, ClosedForm, problem, wearing_ring
 from tests.rigs.worn_scar import crescent, lost, scar
 
@@ -28,10 +28,8 @@ JUMPS = (4, 16, 64, 256)
 # Errors at which costs are compared.
 AT = (1e-2, 1e-3)
 FOUR_BAR_TOLERANCES, TIGHT = (5e-2, 2e-2, 1e-2), 2e-3
-# Period and steps [s] of the 3RSR.
-PARALLEL = {"quiet": (1.0, 5e-5), "rattling": (0.3, 2e-5)}
 # Cycles a rate at the most: by default, and as many as run side by side.
-MOST = {"quiet": (12,), "rattling": (12, 48)}
+MOST = (12, 48)
 WEAR_COEFFICIENT, MILLION, STARTS = 2e-5, 1e6, 12
 # Radial clearances [m] of a bushing that wears 127 um deep; jumps of a life for comparison.
 BUSHINGS, BUSHED, FINE = (100e-6, 50e-6, 25e-6), 127e-6, 300
@@ -79,7 +77,7 @@ def forms() -> dict[str, Form]:
     return found
 
 
-def form_rows() -> list[dict[str, Any]]:
+def form_rows(_: Any) -> list[dict[str, Any]]:
     """A row for each closed form, at 1 %: how far the deepest cell is from it. The true error is
     that where cells wear alike; of a crescent, whose depth hangs on their number, it is how far all
     cells are from a life by many small steps on the same ones."""
@@ -115,7 +113,7 @@ def _off(life: Any, other: Any) -> float:
     return max(shares)
 
 
-def derivative_rows() -> list[dict[str, Any]]:
+def derivative_rows(_: Any) -> list[dict[str, Any]]:
     """Derivatives of lives beside those of their closed forms."""
     law, limit = ClosedForm(), 4e-6
     life = jc.wear_life(problem(wearing_ring()), cycles=1.2 * law.turns(limit))
@@ -141,10 +139,11 @@ def derivative_rows() -> list[dict[str, Any]]:
     ]
 
 
-def closed_form_rows(laws: dict) -> list[dict[str, Any]]:
+@cache
+def closed_form_rows(quick: bool) -> list[dict[str, Any]]:
     """A row for each scheme and each of its settings."""
     rows = []
-    for name, (hyperbolic, depth) in laws.items():
+    for name, (hyperbolic, depth) in list(LAWS.items())[: 1 if quick else None]:
         asked = problem(wearing_ring(hyperbolic=hyperbolic))
         turns = ClosedForm(hyperbolic=hyperbolic).turns(depth)
         jc.wear_life(asked, cycles=1)
@@ -168,10 +167,10 @@ def closed_form_rows(laws: dict) -> list[dict[str, Any]]:
     return rows
 
 
-def cost_rows(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+def cost_rows(options: Any) -> list[dict[str, Any]]:
     """Cycles that each scheme needs for an error: of the pair the cheapest setting that keeps it,
     of the fixed factor (first order) between its settings."""
-    found = []
+    rows, found = closed_form_rows(options.quick), []
     for law in dict.fromkeys(row["law"] for row in rows):
         for error in AT:
             own = {"law": law, "error [%]": 100 * error}
@@ -199,43 +198,7 @@ def four_bar() -> jc.Problem:
     return jc.Problem(rig, responses, {}, duration=2 * math.pi / 10, integrator=integrator)
 
 
-def parallel(period: float, step: float) -> jc.Problem:
-    """A cycle of the 3RSR."""
-    rig = jc.scenes.parallel_3rsr(period=period)
-    responses = {"mean force": jc.response.MeanContactForce("S1")}
-    integrator = jc.integrator.ImplicitStep(step, rebound=1.0)
-    return jc.Problem(rig, responses, {}, duration=period, integrator=integrator)
-
-
-def parallel_rows() -> list[dict[str, Any]]:
-    """Lives of a million cycles, quiet and rattling, at 2 %."""
-    return [
-        _parallel_row(name, parallel(*given), most)
-        for name, given in PARALLEL.items()
-        for most in MOST[name]
-    ]
-
-
-def _parallel_row(name: str, asked: jc.Problem, most: int) -> dict[str, Any]:
-    jax.clear_caches()
-    given = {"accuracy": 2e-2, "most": most}
-    _, first = timed(asked, cycles=MILLION, **given)
-    life, spent = timed(asked, cycles=MILLION, **given)
-    return {
-        "motion": name,
-        "period [s]": float(asked.duration),
-        "cycles a rate, at most": most,
-        "cycles": life.simulated,
-        "largest depth [um]": 1e6 * float(life.over_life("depth")[-1]),
-        "error told [%]": 100 * life.error,
-        "of the volume [%]": 100 * float(life.errors_of_volume[-1]),
-        "a cycle by its saves, at most [%]": 100 * float(life.by_saves.max()),
-        "CPU [s]": spent,
-        "first time [s]": first,
-    }
-
-
-def million_rows() -> list[dict[str, Any]]:
+def million_rows(_: Any) -> list[dict[str, Any]]:
     """Lives of a million cycles by tolerance, beside the tight one: all cells of the map."""
     asked = four_bar()
     jc.wear_life(asked, cycles=1)
@@ -267,10 +230,10 @@ def _million(
     }
 
 
-def chaotic_rows() -> list[dict[str, Any]]:
+def chaotic_rows(_: Any) -> list[dict[str, Any]]:
     """Lives of a slider-crank that rattles, from starts that lie some cycles apart: by how much
     their volumes scatter, and what each tells."""
-    return [_chaotic_row(most) for most in MOST["rattling"]]
+    return [_chaotic_row(most) for most in MOST]
 
 
 def _chaotic_row(most: int) -> dict[str, Any]:
@@ -311,35 +274,14 @@ def _chaotic_row(most: int) -> dict[str, Any]:
     }
 
 
-def main() -> None:
-    more = {"only": {"default": "", "help": "only tables whose title holds this"}}
-    options = arguments(__doc__, **more)
-    laws = {"exponential": LAWS["exponential"]} if options.quick else LAWS
-    forms_at_once = {
-        "Closed forms at 1 %": form_rows,
-        "Derivatives of lives beside closed forms": derivative_rows,
-    }
-    measured = []
-    for title, rows_of in forms_at_once.items():
-        if options.only in title:
-            report(title, rows_of(), options)
-            measured.append(title)
-    if not options.only:
-        rows = closed_form_rows(laws)
-        report("A load that falls with wear: error and cost", rows, options)
-        report("Cycles for an error", cost_rows(rows), options)
-        measured += ["A load that falls with wear: error and cost", "Cycles for an error"]
-    lives = {
-        "A million cycles of the planar four-bar": million_rows,
-        "A million cycles of the 3RSR": parallel_rows,
-        "Lives of a slider-crank that rattles": chaotic_rows,
-    }
-    for title, rows_of in lives.items():
-        if options.only in title and not options.quick:
-            report(title, rows_of(), options)
-            measured.append(title)
-    sign("benchmarks.claims.wear_life", options.json, measured)
-
+TABLES = {
+    "Closed forms at 1 %": form_rows,
+    "Derivatives of lives beside closed forms": derivative_rows,
+    "A load that falls with wear: error and cost": lambda o: closed_form_rows(o.quick),
+    "Cycles for an error": cost_rows,
+    "A million cycles of the planar four-bar": million_rows,
+    "Lives of a slider-crank that rattles": chaotic_rows,
+}
 
 if __name__ == "__main__":
-    main()
+    run_tables(TABLES)

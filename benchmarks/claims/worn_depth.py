@@ -1,13 +1,11 @@
-"""Worn depth against the number of cells: it converges, and a run that wears costs little more.
+"""Worn depth against the number of cells: it converges.
 
 Walls worn by given volumes: a pin pressed one way, rigid (the area between two circles, in closed
-form) and elastic, a tilted journal, a ball; and what a run tells of cells that are too few. Then a
-turn of the planar four-bar, as it is designed. Then the four-bar with three-dimensional clearance:
-deepest cell, volume, and CPU time beside the same run without wear. And the 3RSR's socket, after a
-settled cycle and after a million. The order is that between three numbers of cells. Then what hangs
-on saving times, of five kinds of surface, and last stated errors of depths over true ones: of
-walls that contacts wear which stand still or go to and fro, narrower and wider than cells; and of
-flanks of a play, which have one cell and no error of cells, that of the steps of runs.
+form) and elastic, a tilted journal, a ball. Then a turn of the planar four-bar, as it is designed.
+The order is that between three numbers of cells. Then what hangs on saving times, of five kinds of
+surface, and last stated errors of depths over true ones: of walls that contacts wear which stand
+still or go to and fro, narrower and wider than cells; and of flanks of a play, which have one cell
+and no error of cells, that of the steps of runs.
 """
 
 import itertools
@@ -20,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxclear as jc
-from benchmarks.measure import arguments, report, side_by_side, sign
+from benchmarks.measure import run_tables, side_by_side
 from jaxclear.commands.design import TURN, WEAR_SAVES
 from jaxclear.components.sphere_map import SphereMap
 from jaxclear.components.wall_map import WallMap
@@ -31,22 +29,16 @@ from jaxclear.errors.estimates import factor_of_cells
 from jaxclear.integrators.checks import Check
 from jaxclear.native import scan
 from jaxclear.scenes.four_bar import four_bar
-from jaxclear.scenes.parallel_3rsr import QUIET, parallel_3rsr
+from jaxclear.scenes.parallel_3rsr import parallel_3rsr
 from jaxclear.simulation.invariants import narrowness
 
 RADIUS, LENGTH, CLEARANCE = 10e-3, 20e-3, 0.1e-3
 # Depth of the pin's scar [m], overlap of elastic contacts [m], fall of the tilted journal's [m].
 DEPTH, OVERLAP, FALL = 10e-6, 0.5e-6, 30e-6
 LOSSES, DIRECTION = 50, 0.31
-# Of what the figure of cells tells: shares of the volumes, directions, cells around.
-SHARES, DIRECTIONS = (0.01, 0.1, 1.0), (0.31, 0.35)
-OF_FIGURES, FINEST = (12, 18, 24, 36, 48, 72, 96, 144), 288
-# Of the planar four-bar: cells around.
-IN_PLANE = (36, 72, 144, 288, 576)
-# Of the four-bar: duration [s], saving times, cells around and along.
-SPAN, SAVES, GRIDS = 1.26, 631, ((18, 5), (36, 10), (72, 20), (144, 80), (144, 320))
-# Cells along that a tilted journal's scar needs, which is about a millimetre of 30.
-AROUND, ROWS = 144, (40, 80, 160, 320)
+DIRECTIONS = (0.31, 0.35)
+# Cells around: of walls worn by given volumes, and of the planar four-bar.
+OF_SHAPES, IN_PLANE = (24, 48, 96, 192, 384), (36, 72, 144, 288, 576)
 # Of stated errors: cells around (of a guide along), the finest, and between which ratios a stated
 # error is right. Contacts go to and fro twice, in so many updates.
 OF_ERRORS, TRUE_CELLS = (24, 36, 48, 72, 96, 144, 288), {"journal": 4608, "guide": 4608}
@@ -55,21 +47,6 @@ ALL_CELLS, RIGHT, UPDATES = 1152, (0.5, 5.0), 48
 FLANK_STEPS, TRUE_STEP = (4e-4, 3e-4, 2e-4, 1e-4), 5e-6
 # Saving times.
 COUNTS = (2, 21, 501, 2001)
-
-# Of the 3RSR: cells of azimuth and of elevation after a cycle, the most of them after a million;
-# cycles that it settles in, saving times of a cycle, and by how many cycles a million stand for.
-BALL_CELLS, MOST_OF_A_LIFE = (12, 24, 48, 96, 192, 384), 192
-SETTLED, BALL_SAVES, LIFE, CYCLES = 3, 200, 1e6, 160
-PARTS = {
-    "given": "worn depth: walls",
-    "figure": "worn depth: the figure of cells",
-    "plane": "worn depth: the planar four-bar",
-    "four-bar": "worn depth: the four-bar",
-    "along": "worn depth: the four-bar, finer along",
-    "3RSR": "worn depth: the 3RSR",
-    "saves": "worn depth: by saving times",
-    "errors": "worn depth: stated errors over true ones",
-}
 
 
 def worn(wear_map: AbstractWearMap, volume: float, place: tuple) -> np.ndarray:
@@ -130,35 +107,6 @@ def shapes(cells: tuple[int, ...]) -> list[dict[str, Any]]:
     return with_orders(rows, list(rows[0])[1:])
 
 
-def told(cells: tuple[int, ...], finest: int) -> list[dict[str, Any]]:
-    """What the figure of a run's cells tells, beside how far its deepest cell is from that of the
-    `finest` map: of all shapes, at two places in a cell, worn a little and much."""
-    found = []
-    for share, direction in itertools.product(SHARES, DIRECTIONS):
-        best = {
-            shape: worn(own, share * volume, place).max()
-            for shape, (own, volume, place) in given(finest, direction).items()
-        }
-        for around in cells:
-            for shape, (own, volume, place) in given(around, direction).items():
-                depth = worn(own, share * volume, place)
-                off = abs(float(depth.max() / best[shape] - 1))
-                found.append((float(narrowness(own, jnp.asarray(depth))), off))
-    figures, errors = np.array(found).T
-    bounds = [0.0, 0.05, 0.1, Check.WEAR_BY_CELLS.limit, 0.3, 0.5, 1.0]
-    return [
-        {
-            "figure": f"{low:g} to {high:g}",
-            "depths": int(np.sum(own)),
-            "least off": float(errors[own].min(initial=1.0)),
-            "median": float(np.median(errors[own])),
-            "most": float(errors[own].max(initial=0.0)),
-        }
-        for low, high in itertools.pairwise(bounds)
-        if np.any(own := (figures >= low) & (figures < high))
-    ]
-
-
 def planar(cells: tuple[int, ...]) -> list[dict[str, Any]]:
     """The bearing of the planar four-bar after a turn, and what its run tells of its cells."""
     rows, deepest = [], jc.response.PeakWornDepth("B")
@@ -181,51 +129,6 @@ def planar(cells: tuple[int, ...]) -> list[dict[str, Any]]:
             }
         )
     return with_orders(rows, ["deepest cell [um]"])
-
-
-def runs(grids: tuple[tuple[int, int], ...], integrator: Any) -> list[dict[str, Any]]:
-    """The four-bar's joint on maps of these cells."""
-    run = lambda rig: jc.simulate(rig, SPAN, save=SAVES, integrator=integrator)
-    rigs = {grid: four_bar("spatial", cells=grid) for grid in grids}
-    cases = {"none": lambda: run(four_bar("spatial", wear=False)).history.states}
-    for grid, rig in rigs.items():
-        cases[grid] = lambda rig=rig: run(rig).history.states
-    spent = side_by_side(cases)
-    rows = []
-    for grid, rig in rigs.items():
-        found = run(rig)
-        rows.append(
-            {
-                "cells": f"{grid[0]} x {grid[1]}",
-                "deepest cell [um]": 1e6 * float(found.worn_depth("B", "bearing").max()),
-                "volume [mm^3]": 1e9 * float(found.worn_volume("B", "bearing")[-1]),
-                "CPU, over no wear": spent[grid][1] / spent["none"][1],
-            }
-        )
-    return rows
-
-
-def along(rows: tuple[int, ...]) -> list[dict[str, Any]]:
-    """The four-bar's joint on finer and finer rows, and how much of its scar's length they see:
-    that of the deepest column, where it is deeper than a fiftieth of its deepest cell."""
-    found = []
-    for count in rows:
-        rig = four_bar("spatial", cells=(AROUND, count))
-        run = jc.simulate(rig, SPAN, save=SAVES, integrator=jc.integrator.FixedStep(2e-5))
-        depth = np.asarray(run.worn_depth("B", "bearing"))
-        column, row = np.unravel_index(depth.argmax(), depth.shape)
-        scar = depth[column, count // 2 :] if row >= count // 2 else depth[column, : count // 2]
-        length = 1e3 * rig.connections["B"].joint.length / count
-        found.append(
-            {
-                "cells": f"{AROUND} x {count}",
-                "deepest cell [um]": 1e6 * float(depth.max()),
-                "its scar is long [mm]": float(length * np.sum(scar > 0.02 * depth.max())),
-                "volume in the last rows [1]": float(depth[:, [0, -1]].sum() / depth.sum()),
-            }
-        )
-        print(found[-1], flush=True)
-    return with_orders(found, ["deepest cell [um]"])
 
 
 def with_saves() -> dict[str, tuple[Any, float, Any, str, str]]:
@@ -420,114 +323,16 @@ def on_flanks() -> list[float]:
     return ratios
 
 
-def parallel(cells: tuple[int, ...]) -> list[dict[str, Any]]:
-    """The quiet 3RSR's socket: what a cycle takes off once it has settled, and what a million do,
-    each of those that are run standing for as many as it must."""
-    rows = []
-    for around in cells:
-        rig = parallel_3rsr(period=QUIET, cells=(around, around))
-        begun = _cycles(rig, SETTLED)[0]
-        cycle, _ = _cycles(rig, 1, begun)
-        before, after = (run.worn_depth("S1", "socket") for run in (begun, cycle))
-        row = {"cells": f"{around} x {around}", "a cycle [nm]": 1e9 * float((after - before).max())}
-        row |= {"a million [mm]": None, "volume [mm^3]": None}
-        if around <= MOST_OF_A_LIFE:
-            row |= _million(rig, begun)
-        print(row, flush=True)
-        rows.append(row)
-    return with_orders(rows, ["a cycle [nm]", "a million [mm]"])
+def _some(options: Any, sizes: tuple[int, ...], few: int) -> tuple[int, ...]:
+    return sizes[:few] if options.quick else sizes
 
 
-def _million(rig: jc.Mechanism, begun: jc.Trajectory) -> dict[str, float]:
-    """Depth and volume after a million cycles."""
-    many = eqx.tree_at(
-        lambda own: own.connections["S1"].joint.socket_wear.acceleration,
-        rig,
-        jnp.asarray(LIFE / CYCLES),
-    )
-    run, volume = _cycles(many, CYCLES, begun)
-    depth = float(run.worn_depth("S1", "socket").max())
-    return {"a million [mm]": 1e3 * depth, "volume [mm^3]": 1e9 * volume}
-
-
-def _cycles(
-    rig: jc.Mechanism, count: int, begun: jc.Trajectory | None = None
-) -> tuple[jc.Trajectory, float]:
-    """(the last of so many cycles after those of a run, volume lost in all [m3])."""
-    how, volume = jc.integrator.ImplicitStep(5e-5, rebound=1.0), 0.0
-    for _ in range(count):
-        state = None if begun is None else begun.state()
-        begun = jc.simulate(rig, QUIET, save=BALL_SAVES + 1, integrator=how, state=state)
-        volume += float(begun.worn_volume("S1", "socket")[-1])
-    return begun, volume
-
-
-def main() -> None:
-    options = arguments(__doc__, only={"choices": list(PARTS), "help": "this part alone"})
-    asked = [options.only] if options.only else [part for part in PARTS if part != "along"]
-    for part in asked:
-        measured = {
-            "given": given_rows,
-            "figure": figure_rows,
-            "plane": plane_rows,
-            "four-bar": four_bar_rows,
-            "along": along_rows,
-            "3RSR": parallel_rows,
-            "saves": save_rows,
-            "errors": error_rows,
-        }[part]
-        measured(options)
-    sign("benchmarks.claims.worn_depth", options.json, [PARTS[part] for part in asked])
-
-
-def along_rows(options: Any) -> None:
-    """Of the four-bar, along its bearing."""
-    rows = ROWS[:3] if options.quick else ROWS
-    report("worn depth: the four-bar, finer along", along(rows), options)
-
-
-def parallel_rows(options: Any) -> None:
-    """Of the 3RSR."""
-    cells = BALL_CELLS[:4] if options.quick else BALL_CELLS
-    report(PARTS["3RSR"], parallel(cells), options)
-
-
-def save_rows(options: Any) -> None:
-    """Of saving times."""
-    report(PARTS["saves"], by_saves(COUNTS), options)
-
-
-def error_rows(options: Any) -> None:
-    """Of stated errors."""
-    cells = OF_ERRORS[:3] if options.quick else OF_ERRORS
-    report(PARTS["errors"], stated_over_true(cells), options)
-
-
-def given_rows(options: Any) -> None:
-    """Of given volumes."""
-    cells = (24, 48, 96, 192) if options.quick else (24, 48, 96, 192, 384)
-    report("worn depth: walls worn by given volumes", shapes(cells), options)
-
-
-def figure_rows(options: Any) -> None:
-    """Of what a run's cells tell of themselves."""
-    cells, finest = (OF_FIGURES[:4], 72) if options.quick else (OF_FIGURES, FINEST)
-    report(PARTS["figure"], told(cells, finest), options)
-
-
-def plane_rows(options: Any) -> None:
-    """Of the planar four-bar."""
-    report(PARTS["plane"], planar(IN_PLANE[:3] if options.quick else IN_PLANE), options)
-
-
-def four_bar_rows(options: Any) -> None:
-    """Of the four-bar."""
-    grids = GRIDS[1:4] if options.quick else GRIDS
-    for integrator in (jc.integrator.FixedStep(2e-5), jc.integrator.ImplicitStep()):
-        name = type(integrator).__name__
-        report(f"worn depth: the four-bar, {name}", runs(grids, integrator), options)
-    along_rows(options)
-
+TABLES = {
+    "worn depth: walls worn by given volumes": lambda o: shapes(_some(o, OF_SHAPES, 4)),
+    "worn depth: the planar four-bar": lambda o: planar(_some(o, IN_PLANE, 3)),
+    "worn depth: by saving times": lambda _: by_saves(COUNTS),
+    "worn depth: stated errors over true ones": lambda o: stated_over_true(_some(o, OF_ERRORS, 3)),
+}
 
 if __name__ == "__main__":
-    main()
+    run_tables(TABLES)

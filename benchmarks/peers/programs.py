@@ -56,19 +56,18 @@ def installed(module: str) -> bool:
 
 
 @numba.njit(error_model="numpy")
-def _slope(t, y, p, c, k, closed):
-    f = _forces(p, c, k, math.cos(p.speed * t), math.sin(p.speed * t), y[0], y[1], y[2], y[3], y[4])
-    # A flight is smooth beyond its end, or the search for that end would stumble.
-    memory = 0.0 if closed or p.memory_time == 0.0 else (max(f[4], 0.0) - y[4]) / p.memory_time
-    return np.array([y[2], y[3], f[0], f[1], memory])
+def _slope(t, y, p, c, k, impact):
+    angle = p.speed * t
+    f = _forces(p, c, k, math.cos(angle), math.sin(angle), y[0], y[1], y[2], y[3], impact)
+    return np.array([y[2], y[3], f[0], f[1]])
 
 
 @numba.njit(error_model="numpy")
-def _contact(t, y, p, c, k):
+def _contact(t, y, p, c, k, impact):
     """(indentation, its rate, normal force)."""
-    return _forces(
-        p, c, k, math.cos(p.speed * t), math.sin(p.speed * t), y[0], y[1], y[2], y[3], y[4]
-    )[3:]
+    angle = p.speed * t
+    f = _forces(p, c, k, math.cos(angle), math.sin(angle), y[0], y[1], y[2], y[3], impact)
+    return f[2:]
 
 
 def scipy_run(
@@ -77,17 +76,14 @@ def scipy_run(
     """Flights and contacts by turns, each solved for itself. `steps` counts evaluations."""
     p, c = rig.LAWS[law], rig.CLEARANCE
     stiffness = rig.stiffness(c)
-    t, y, closed = (
-        0.0,
-        np.array([0.0, p.crank + p.rod, -p.crank * p.speed / p.rod, 0.0, 0.0]),
-        False,
-    )
+    t, closed, impact = 0.0, False, 0.0
+    y = np.array([0.0, p.crank + p.rod, -p.crank * p.speed / p.rod, 0.0])
     places, times, peak, count = np.empty(question.saves), question.times, 0.0, 0
     while t < question.duration:
         k, longest = (stiffness, CONTACT_STEP) if closed else (0.0, FLIGHT_STEP)
 
-        def gap(t, y, p, c, k, closed):
-            return _contact(t, y, p, c, k)[0]
+        def gap(t, y, p, c, k, impact):
+            return _contact(t, y, p, c, k, impact)[0]
 
         gap.terminal, gap.direction = True, -1.0 if closed else 1.0
         found = solve_ivp(
@@ -97,7 +93,7 @@ def scipy_run(
             method,
             dense_output=True,
             events=gap,
-            args=(p, c, k, closed),
+            args=(p, c, k, impact),
             rtol=rtol,
             atol=rig.ATOL_SHARE * rtol,
             max_step=finer * longest,
@@ -109,18 +105,13 @@ def scipy_run(
             places[inside] = found.sol(times[inside])[1]
         if closed:
             looks = np.linspace(t, found.t[-1], LOOKS)
-            peak = max(
-                peak,
-                max(
-                    _contact(s, z, p, c, k)[2]
-                    for s, z in zip(looks, found.sol(looks).T, strict=True)
-                ),
-            )
+            states = zip(looks, found.sol(looks).T, strict=True)
+            peak = max(peak, *(_contact(s, z, p, c, k, impact)[2] for s, z in states))
         t, y = found.t[-1], found.y[:, -1].copy()
         if found.status == 1:
             closed = not closed
-            if closed and p.memory_time == 0.0:
-                y[4] = _contact(t, y, p, c, k)[1]
+            if closed:
+                impact = _contact(t, y, p, c, k, impact)[1]
     return Answer(places, peak, count)
 
 

@@ -96,7 +96,7 @@ class Program:
 class Numbers(NamedTuple):
     """What a hand-written program needs, SI units. `inertia`: of the rod about the crank pin;
     `pull`: product of the rod's mass, half its length and the crank pin's acceleration; `damping`:
-    0.75 (1 - e^2); `memory_time` 0 stands for exact capture."""
+    0.75 (1 - e^2)."""
 
     crank: float
     rod: float
@@ -111,7 +111,6 @@ class Numbers(NamedTuple):
     mu: float
     inner: float
     outer: float
-    memory_time: float
 
 
 def stiffness(clearance: float) -> float:
@@ -124,15 +123,14 @@ def mechanism(clearance: float = CLEARANCE) -> jc.Mechanism:
     """The rig in jaxclear: the scene at this speed, without gravity."""
     steel = jc.Material(YOUNG, POISSON)
     contact = jc.contact.LankaraniNikravesh(
-        stiffness=jc.stiffness.HertzStiffness(steel, steel),
-        restitution=RESTITUTION,
+        stiffness=jc.stiffness.HertzStiffness(steel, steel), restitution=RESTITUTION
     )
     return jc.scenes.slider_crank(
         clearance=clearance, contact=contact, crank_speed=SPEED, gravity=None
     )
 
 
-def numbers(memory_time: float = 0.0) -> Numbers:
+def numbers() -> Numbers:
     """The same rig as plain numbers, its laws' defaults taken from jaxclear."""
     contact, friction = jc.contact.LankaraniNikravesh(), jc.friction.Ambrosio()
     return Numbers(
@@ -149,16 +147,13 @@ def numbers(memory_time: float = 0.0) -> Numbers:
         mu=MU,
         inner=float(friction.inner_speed),
         outer=float(friction.outer_speed),
-        memory_time=memory_time,
     )
 
 
-# What differs between the programs' laws: how the impact speed is held, and where friction starts.
+# What differs between the programs' laws: where friction starts.
 LAWS: dict[str, Numbers] = {
-    "captured": numbers(0.0),
-    "captured, friction from 0": numbers(0.0)._replace(inner=0.0),
-    # A state that follows the approach speed, as in many programs.
-    "remembered": numbers(1e-4),
+    "captured": numbers(),
+    "captured, friction from 0": numbers()._replace(inner=0.0),
 }
 
 

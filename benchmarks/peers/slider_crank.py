@@ -3,8 +3,9 @@ accuracy, alone and in a Monte Carlo.
 
 Every program solves the rig of `peers.rig` and returns the slider's place at the saving times and
 the peak contact force. Each is held against its law's reference (scipy, event by event), takes the
-coarsest setting from which three in a row meet the accuracy asked, and is timed there. What is not
-installed is left out with a word: `pip install ".[test,peers]"` brings all.
+coarsest setting from which three in a row meet the accuracy asked, and is timed there; "agreement"
+is the error of its finest run. What is not installed is left out with a word: `pip install
+".[test,peers]"` brings all.
 """
 
 import functools
@@ -14,7 +15,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from benchmarks.by_hand import slider_crank as in_numba
-from benchmarks.by_hand import slider_crank_in_c as in_c
 from benchmarks.measure import arguments, report, side_by_side, sign
 from benchmarks.peers import programs as others
 from benchmarks.peers import rig, with_jaxclear, with_mujoco
@@ -33,45 +33,19 @@ LONG_RUN = 5.0
 # Samples from which the size of a batch is planned, and as many where a run takes longer than a
 # second.
 PILOT, SLOW_PILOT = 16, 4
-# What the project set itself: (sentence, programs by how their names begin, in a batch?, least
-# ratio of their time to ours).
-TARGETS = (
-    ("alone: at most 1.5 times fixed steps by hand", ("numba, RK4", "C, RK4"), False, 1 / 1.5),
-    ("batch: at most numba's fixed steps on all cores", ("numba, RK4",), True, 1.0),
-    ("alone: 20 times faster than Exudyn", ("Exudyn",), False, 20.0),
-    ("batch: 100 times faster than Exudyn", ("Exudyn",), True, 100.0),
-    ("batch: 20 times faster than MJX", ("MJX",), True, 20.0),
-)
 
 
 def by_hand(question: rig.Question) -> list[Program]:
-    """numba and C: fixed steps with either law in numba, and error control."""
-    ladder, p = rig.steps_ladder(3e-6, 2e-8), rig.LAWS["captured"]
-    programs = []
-    for module, language, how in ((in_numba, "numba", "prange"), (in_c, "C", "OpenMP")):
-        if module is in_c and in_c.library() is None:
-            print("There is no C compiler; C is left out.")
-            continue
-
-        def of(k, q=question):
-            return q.saves, int(k), q.interval / int(k)
-
-        for law in ("captured", "remembered"):
-            note = "" if law == "captured" else ", remembered speed"
-            programs.append(
-                Program(
-                    f"{language}, RK4{note}",
-                    law,
-                    ladder,
-                    lambda k, m=module, w=law: m.run(rig.LAWS[w], rig.CLEARANCE, *of(k)),
-                    Batch(lambda k, c, m=module, w=law: m.batch(rig.LAWS[w], c, *of(k)), how),
-                )
-            )
-    tolerances, size = rig.tolerance_ladder(1e-5, 1e-11), (question.saves, question.interval)
+    """Loops in numba: of fixed steps, and with error control."""
+    p, size = rig.LAWS["captured"], (question.saves, question.interval)
+    steps = lambda k: (question.saves, int(k), question.interval / int(k))
+    fixed = Batch(lambda k, c: in_numba.batch(p, c, *steps(k)), "prange")
+    run = lambda k: in_numba.run(p, rig.CLEARANCE, *steps(k))
     loop = Batch(lambda r, c: in_numba.batch_adaptive(p, c, *size, r), "prange")
     adaptive = lambda r: in_numba.run_adaptive(p, rig.CLEARANCE, *size, r)
+    ladder, tolerances = rig.steps_ladder(3e-6, 2e-8), rig.tolerance_ladder(1e-5, 1e-11)
     return [
-        *programs,
+        Program("numba, RK4", "captured", ladder, run, fixed),
         Program("numba, adaptive by hand", "captured", tolerances, adaptive, loop, True),
     ]
 
@@ -170,8 +144,8 @@ def fastest(costs: dict[str, Cost], found: list[Found], *starts: str) -> str | N
     return min(names, key=lambda name: (not met[name], costs[name].cpu), default=None)
 
 
-def alone_rows(found: list[Found], question: rig.Question) -> tuple[list[dict], dict[str, Cost]]:
-    """Table of single runs, and their costs."""
+def alone_rows(found: list[Found], question: rig.Question) -> list[dict]:
+    """Table of single runs."""
     cases = {
         f.program.name: lambda f=f: f.program.run(f.setting) for f in found if f.spent[0] < LONG_RUN
     }
@@ -198,7 +172,7 @@ def alone_rows(found: list[Found], question: rig.Question) -> tuple[list[dict], 
                 "first call [s]": f.first_call,
             }
         )
-    return rows, costs
+    return rows
 
 
 def batch_costs(
@@ -233,8 +207,8 @@ def batch_costs(
 
 def batch_rows(
     found: list[Found], question: rig.Question, samples: int, budget: float
-) -> tuple[list[dict], dict[str, Cost]]:
-    """Table of Monte Carlos, and the costs of a sample where none failed."""
+) -> list[dict]:
+    """Table of Monte Carlos."""
     clearances = np.random.default_rng(0).uniform(0.8, 1.2, samples) * rig.CLEARANCE
     costs, sizes, answers = batch_costs(found, clearances, budget)
     failed = {name: int(np.isnan(answer[:, 0]).sum()) for name, answer in answers.items()}
@@ -247,7 +221,7 @@ def batch_rows(
         name, batch = f.program.name, f.program.batch
         if name not in costs:
             continue
-        comparable = f.program.law != "remembered" and batch.share(f.setting) == 1.0
+        comparable = batch.share(f.setting) == 1.0
         apart = np.abs(answers[name][:, 0] / exact[: sizes[name], 0] - 1)
         rows.append(
             {
@@ -260,32 +234,6 @@ def batch_rows(
                 "wall / jaxclear": costs[name].wall / best.wall,
                 "CPU / jaxclear": costs[name].cpu / best.cpu,
                 "median error F": float(np.nanmedian(apart)) if comparable else "–",
-            }
-        )
-    return rows, sound
-
-
-def target_rows(alone: dict[str, Cost], batch: dict[str, Cost], found: list[Found]) -> list[dict]:
-    """Each target with the ratios measured. CPU time decides, because the machine may be shared."""
-    rows = []
-    for sentence, names, in_batch, limit in TARGETS:
-        costs = batch if in_batch else alone
-        own, other = fastest(costs, found, "jaxclear"), fastest(costs, found, *names)
-        if other is None:
-            rows.append(
-                dict.fromkeys(("jaxclear", "the other", "CPU ratio", "wall ratio", "met"), "–")
-                | {"target": sentence}
-            )
-            continue
-        ratio = costs[other].cpu / costs[own].cpu
-        rows.append(
-            {
-                "target": sentence,
-                "jaxclear": own.removeprefix("jaxclear "),
-                "the other": other,
-                "CPU ratio": ratio,
-                "wall ratio": costs[other].wall / costs[own].wall,
-                "met": "yes" if ratio >= limit else "NO",
             }
         )
     return rows
@@ -343,29 +291,19 @@ def main() -> None:
     if options.short:
         sign("benchmarks.peers.slider_crank", options.json, [title])
         return
-    print(f"{turns:g} turns of the crank, {question.duration * 1e3:.3g} ms; no gravity.")
-    print(
-        f"Accuracy asked: {rig.PLACE_ACCURACY:g} m in the slider's place, {rig.FORCE_ACCURACY:g} "
-        "in the peak force."
-    )
-    print(
-        "Errors are against the reference of the program's own law; agreement: the same of its "
-        "finest run on the ladder."
-    )
     report("references: scipy, event by event", reference_rows(question), options)
     found = []
     for program in all_programs(question):
         found.append(climb(program, others.reference(program.law, question)[0], patience))
         print(f"  {program.name}: {setting_text(found[-1], question)}", flush=True)
-    rows, alone = alone_rows(found, question)
+    rows = alone_rows(found, question)
     report("alone, at equal accuracy", rows, options)
-    rows, batch = batch_rows(found, question, samples, budget)
+    rows = batch_rows(found, question, samples, budget)
     report(
         f"Monte Carlo of {samples} clearances from 0.4 to 0.6 mm, each program at the same setting",
         rows,
         options,
     )
-    report("targets", target_rows(alone, batch, found), options)
     sign("benchmarks.peers.slider_crank", options.json)
 
 

@@ -2,12 +2,15 @@
 contact as an applied force.
 
 MuJoCo's contacts know neither a journal in a hole nor Hertz's law, so the contact law is ours: for
-C the compiled law of `slider_crank_in_c` as a callback, for MJX the law in JAX. Their part is the
+C the compiled law as a callback, for MJX the law in JAX. Their part is the
 equations of motion. A flywheel keeps the crank's speed.
 """
 
 import ctypes
 import os
+import shutil
+import subprocess
+import tempfile
 from functools import cache
 from pathlib import Path
 
@@ -15,7 +18,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from benchmarks.by_hand import slider_crank_in_c
+from benchmarks.by_hand.slider_crank import CENTRE
 from benchmarks.peers import rig
 from benchmarks.peers.rig import Answer
 
@@ -24,7 +27,42 @@ FLYWHEEL = 1e9
 # MJX in a batch: samples times steps are cut down to a few saving intervals of few steps, and
 # scaled up.
 FEW_SAVES, FEW_STEPS = 4, 25
+# Forces as in `by_hand.slider_crank`.
 CALLBACK = r"""
+#define _GNU_SOURCE
+#include <math.h>
+typedef struct {
+    double crank, rod, slider, inertia, pull, speed, radius, modulus, damping, slowest, mu, inner;
+    double outer;
+} P;
+typedef struct { double a, b, delta, rate, normal; } F;
+
+static inline F forces(const P *p, double c, double k, double ct, double st, double phi, double x,
+                       double w, double u, double m)
+{
+    double sphi, cphi;
+    sincos(phi, &sphi, &cphi);
+    double ex = x - p->crank * ct - p->rod * cphi, ey = -p->crank * st - p->rod * sphi;
+    double moment = p->pull * (st * cphi - ct * sphi), square = ex * ex + ey * ey;
+    F f = {moment / p->inertia, 0, -c, 0, 0};
+    if (square < CENTRE * CENTRE * c * c) return f;
+    double vx = u + p->crank * p->speed * st + p->rod * w * sphi;
+    double vy = -p->crank * p->speed * ct - p->rod * w * cphi;
+    double r = sqrt(square), nx = ex / r, ny = ey / r;
+    double delta = f.delta = r - c, rate = f.rate = nx * vx + ny * vy;
+    if (delta <= 0) return f;
+    double loss = 1 + p->damping * rate / fmax(m, p->slowest);
+    double normal = f.normal = k * delta * sqrt(delta) * fmax(loss, 0);
+    double reach = p->radius + 0.5 * delta, slip = nx * vy - ny * vx - w * reach;
+    double share = fmin(fmax((fabs(slip) - p->inner) / (p->outer - p->inner), 0), 1);
+    double drag = -copysign(p->mu * share, slip) * normal;
+    double fx = -normal * nx - drag * ny, fy = -normal * ny + drag * nx;
+    moment -= p->rod * (cphi * fy - sphi * fx) + reach * drag;
+    f.a = moment / p->inertia;
+    f.b = fx / p->slider;
+    return f;
+}
+
 #include <mujoco/mujoco.h>
 /* userdata: clearance; impact speed; gap and rate when last open; whether closed; peak force */
 void passive(const mjModel *m, mjData *d)
@@ -102,13 +140,20 @@ def _install() -> bool:
     """
     import mujoco
 
+    compiler = shutil.which("gcc") or shutil.which("cc")
+    if compiler is None:
+        return False
+    folder = Path(tempfile.mkdtemp(prefix="jaxclear_peers_"))
+    (folder / "peers.c").write_text(CALLBACK)
+    flags = ["-O3", "-march=native", "-fno-math-errno", "-shared", "-fPIC", f"-DCENTRE={CENTRE}"]
     headers = f"-I{Path(mujoco.__file__).parent / 'include'}"
-    library = slider_crank_in_c.compiled(slider_crank_in_c.SOURCE + CALLBACK, headers)
-    if library is not None:
-        mujoco.set_mjcb_passive(
-            ctypes.cast(library.passive, ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p))
-        )
-    return library is not None
+    names = [str(folder / "peers.c"), "-o", str(folder / "peers.so"), "-lm"]
+    subprocess.run([compiler, *flags, headers, *names], check=True)
+    library = ctypes.CDLL(str(folder / "peers.so"))
+    shutil.rmtree(folder)
+    pointers = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p)
+    mujoco.set_mjcb_passive(ctypes.cast(library.passive, pointers))
+    return True
 
 
 def _memory(clearance):
@@ -178,7 +223,7 @@ def _jax_contact(c, stiffness, q, v, memory):
     ex, ey = q[2] - P.crank * ct - P.rod * cp, -P.crank * st - P.rod * sp
     vx, vy = v[2] + P.crank * v[0] * st + P.rod * w * sp, -P.crank * v[0] * ct - P.rod * w * cp
     square = ex * ex + ey * ey
-    away = square > (slider_crank_in_c.CENTRE * c) ** 2
+    away = square > (CENTRE * c) ** 2
     r = jnp.sqrt(jnp.where(away, square, 1.0))
     nx, ny = ex / r, ey / r
     delta, rate = jnp.where(away, r - c, -c), nx * vx + ny * vy

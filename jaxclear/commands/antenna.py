@@ -21,7 +21,7 @@ from jaxclear.results.pointing_error import PointingError, shift, turn
 from jaxclear.results.trajectory import Trajectory
 from jaxclear.scenes.antenna import BASE, BEARING_RADIUS, HOLD, JOINTS, KINDS, TIP, antenna
 
-# Step of the runs [s]; benchmarks/claims/antenna.py shows what it costs in accuracy.
+# Step of the runs [s]; the book's page on accuracy shows what it costs in accuracy.
 STEP = 1e-3
 # A regularised law that nearly holds, with full friction at this slip speed [m/s], beside that of
 # Bai & Zhao (0.1 m/s).

@@ -114,7 +114,7 @@ class Solution(AbstractShown):
         """Whether the solver's tolerance was met."""
         return self.outcome == Outcome.SOLVED
 
-    def _shown(self):
+    def _summary(self):
         return self.sentence()
 
     def sentence(self) -> str:

@@ -15,15 +15,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from jaxclear.complementarity.friction_cone import natural_map, one_contact, project_on_cone
-from jaxclear.complementarity.friction_contact import FrictionContact
-from jaxclear.complementarity.kept_states import (
+from jaxclear.complementarity.contact_states import (
     REGULAR,
     Scaled,
     keep_states,
     linearised,
     scaled_contacts,
 )
+from jaxclear.complementarity.friction_cone import natural_map, one_contact, project_on_cone
+from jaxclear.complementarity.friction_contact import FrictionContact
 from jaxclear.complementarity.problem import AbstractSolver, Outcome, Solution, size_of
 from jaxclear.ground.factorisation import eliminate
 from jaxclear.ground.precision import check_double_precision

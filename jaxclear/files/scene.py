@@ -131,7 +131,7 @@ class Scene(AbstractQuantified):
         by_name("variables", self.variables)
         expect(self.responses, Mapping, "responses of a Scene", "a dictionary from names")
 
-    def _shown(self):
+    def _summary(self):
         """What it is of, how it is run, and what is asked of it."""
         m = self.mechanism
         lines = [f"Scene{f': {self.description}' if self.description else ''}"]

@@ -58,7 +58,7 @@ class Fmu(AbstractShown):
     slopes: tuple[str, ...] = eqx.field(static=True)
     notes: tuple[str, ...] = eqx.field(static=True)
 
-    def _shown(self):
+    def _summary(self):
         lines = [
             f"FMU {self.path}: {self.size / 1000:.0f} kB, FMI 3.0, {' and '.join(self.kinds)}, "
             f"for {self.target}"

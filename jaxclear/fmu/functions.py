@@ -35,7 +35,7 @@ from jaxclear.simulation.loop import Carry, Span, Turn, first_turn, largest_of, 
 Arrays = list[Any]
 # A contact that touches or parts within this time [s] does so now: searches for roots end within
 # 1e-12 s or so, and no contact lasts as short.
-AT_ONCE = 1e-9
+SIMULTANEOUS = 1e-9
 
 
 class Flat(NamedTuple):
@@ -149,11 +149,11 @@ class Functions:
         return [rate, contacts.depths]
 
     def remember(self, leaves: Arrays, numbers: Arrays) -> Arrays:
-        """The state with impact speeds of contacts that touch or part within `AT_ONCE`: the search
-        for the instant ends on either side."""
+        """The state with impact speeds of contacts that touch or part within `SIMULTANEOUS`: the
+        search for the instant ends on either side."""
         _, integrator, model, now = self._now(leaves, numbers)
         depths, speeds = integrator.formulation.contacts(model, numbers[-1], now.state)
-        ahead = ContactMotion(depths + AT_ONCE * speeds, speeds)
+        ahead = ContactMotion(depths + SIMULTANEOUS * speeds, speeds)
         return [integrator.formulation.remember(model, now.state, ahead, ahead, jnp.ones(()))]
 
 

@@ -90,7 +90,7 @@ def as_numbers(name: str, value: Any) -> Any:
         raise ValueError(NO_VALUE.format(name=name, value=described(value))) from None
 
 
-def check_once(what: str, rows: Sequence[tuple[Any, str]]) -> None:
+def check_unique(what: str, rows: Sequence[tuple[Any, str]]) -> None:
     """Raises `ValueError` for the first row, a key and a name, whose key stood before."""
     for k, (key, name) in enumerate(rows):
         if key in [x for x, _ in rows[:k]]:
@@ -122,15 +122,15 @@ class Unit:
     ):
         self.mechanism, self.slopes = mechanism, slopes
         self.duration, self.interval = map(float, usual)
-        seen = integrator.formulation.seen(mechanism)
+        modelled = integrator.formulation.seen(mechanism)
         if outputs is None:
-            branches = [b.name for b in seen.topology.branches if b.speed_count]
+            branches = [b.name for b in modelled.topology.branches if b.speed_count]
             outputs = {f"{n} {w}": (n, w) for n in branches for w in ("coordinate", "speed")}
         self.units: dict[str, str] = {}
         read = {name: self._output(name, output) for name, output in outputs.items()}
         self.others: list[AbstractIntegrator] = []
         self.order = 0
-        self.integrator = self._with_others(seen, integrator) if slopes else integrator
+        self.integrator = self._with_others(modelled, integrator) if slopes else integrator
         self.functions = Functions(mechanism, self.integrator, read, self.duration)
         zero, self.handed = jnp.zeros(()), self.functions.carry.leaves
         self.row = [self.handed[0], *self.handed, zero, zero]
@@ -174,8 +174,8 @@ class Unit:
         self.parameters = [self._number("parameter", name, of) for name, of in parameters.items()]
         self.settable = [*self.inputs, *self.parameters]
         self.names = [one.name for one in self.settable]
-        check_once("name", [(name, name) for name in ("time", *self.names, *self.units)])
-        check_once("number", [(one.leaf, one.name) for one in self.settable])
+        check_unique("name", [(name, name) for name in ("time", *self.names, *self.units)])
+        check_unique("number", [(one.leaf, one.name) for one in self.settable])
         for name in self.slopes:
             check_name("slope", name, self.names, " among inputs and parameters of export_fmu")
 
@@ -209,15 +209,15 @@ class Unit:
         run, original = functions.run.leaves, functions.original.leaves
         carry, times = functions.carry.tree(self.handed), jnp.array([-self.interval, 0.0])
         mechanism, integrator = functions.run.tree(run)
-        whole = run_of_step(mechanism, integrator, carry.state, carry, times)
-        checks = check_places(whole.history.model(), carry)
+        step_run = run_of_step(mechanism, integrator, carry.state, carry, times)
+        checks = check_places(step_run.history.model(), carry)
         try:
             self._make("read", self.row, functions.read)
             self._make("start", [jnp.zeros(())], functions.start, original)
             more = [self._add_steps()]
             if checks:
                 self._make("check", self.row, functions.check)
-            more += [self._add_exchange(whole)] if exchange else []
+            more += [self._add_exchange(step_run)] if exchange else []
         except Unsupported as reason:
             kind = public_name(type(integrator))
             sentence = f"this mechanism does not become machine code on {kind}: {reason}."
@@ -225,7 +225,7 @@ class Unit:
         code = "".join(one.text for one in self.made.values())
         self.token = hashlib.sha256(code.encode()).hexdigest()[:32]
         self.outputs = self._outputs()
-        said = [
+        lines = [
             check.sentence.replace("{figure:.2g}", "%.2g").format(place=place, limit=check.limit)
             for check, place in checks
         ]
@@ -259,9 +259,9 @@ class Unit:
             "double least": [number(x.least) for x in self.settable],
             "double most": [number(x.most) for x in self.settable],
             "char *const range_text": [text(x) for x in beyond],
-            "char *const ending": [ending(whole, code) for code in Outcome],
+            "char *const ending": [ending(step_run, code) for code in Outcome],
             "double check_limit": [number(check.limit) for check, _ in checks],
-            "char *const check_text": [text(x[0].upper() + x[1:]) for x in said],
+            "char *const check_text": [text(x[0].upper() + x[1:]) for x in lines],
         }
         return "\n".join(
             [

@@ -52,7 +52,7 @@ def closed(model: Model, time: Any, state: State, length: Any = None) -> State:
         for subtree in system.topology.subtrees
     )
     masses = [tree.mass_matrix(*subtree) for subtree in subtrees]
-    same = constraints.rows_alike(system, result)
+    same = constraints.row_kinds(system, result)
     depend = constraints.dependence(system, result)
     _, constrain = dynamics.constrained_inverse(masses, rows, same, depend)
 

@@ -58,21 +58,21 @@ def _work_rates(model: Model, time: Any, entries: list, mean: list) -> list:
     work, loss, rubbed = 0, 0, 0
     # The rows of contacts come first.
     for row, name in zip(start.rows, system.bearings, strict=False):
-        given, pressed, damped = row.direction.rate(middle.motions), 0, 0
+        power, pressed, damped = row.direction.rate(middle.motions), 0, 0
         points = zip(start.reports[name].points, middle.reports[name].points, strict=True)
-        for begun, moved in points:
-            pressed = sp.add(pressed, begun.normal_force * moved.rate)
-            damped = sp.add(damped, (begun.normal_force - begun.elastic_force) * moved.rate)
+        for initial, moved in points:
+            pressed = sp.add(pressed, initial.normal_force * moved.rate)
+            damped = sp.add(damped, (initial.normal_force - initial.elastic_force) * moved.rate)
         work, loss = sp.add(work, pressed), sp.add(loss, damped)
-        rubbed = sp.sub(rubbed, sp.add(given, pressed))
-    held = touching(system)
-    if held:
-        found = rubbing(model, start, q)
+        rubbed = sp.sub(rubbed, sp.add(power, pressed))
+    joints = touching(system)
+    if joints:
+        result = rubbing(model, start, q)
         change = sp.each(sp.sub, mean, entries[first:last])
         slips = [
-            rate.at(change) for one in held for rate in sliding_rates(system, start.motions, one)
+            rate.at(change) for one in joints for rate in sliding_rates(system, start.motions, one)
         ]
-        rubbed = sp.add(rubbed, friction_losses(held, found.friction, slips)[0])
+        rubbed = sp.add(rubbed, friction_losses(joints, result.friction, slips)[0])
     # What a damper takes is of second degree: the mean is right to the square of the change.
     damping = sp.mul(0.5, sp.add(start.damping_loss, middle.damping_loss))
     return [work, loss, rubbed, damping]
@@ -153,7 +153,7 @@ class CompliantContact(AbstractFormulation):
         forces, q, v = _acting(model, time, entries, shares, flanks)
         forces, solution, rubbing = joint_friction.solved(model, forces, q)
         reports = forces.reports
-        normal = ([point.normal_force for point in own.points] for own in reports.values())
+        normal = ([point.normal_force for point in report.points] for report in reports.values())
         pressing = [*map(sp.total, normal), *film_losses(system, forces)]
         rates = [
             *state_rate.coordinate_rates(system, q, v),
@@ -211,15 +211,15 @@ class CompliantContact(AbstractFormulation):
         """
         if not model.layout.plays:
             return contacts_over_step.normal_forces(model, state, motion)
-        count, found = model.layout.joint_contacts, []
+        count, forces = model.layout.joint_contacts, []
         if count:
             joints = ContactMotion(*(each[:count] for each in motion))
-            found.append(contacts_over_step.normal_forces(model, state, joints))
+            forces.append(contacts_over_step.normal_forces(model, state, joints))
         for i, name in enumerate(model.layout.plays):
-            own = slice(count + 2 * i, count + 2 * i + 2)
-            flanks = motion.depths[own], motion.rates[own]
-            found.append(torque_on_flanks(model.system.transmissions[name], *flanks))
-        return jnp.concatenate(found)
+            part = slice(count + 2 * i, count + 2 * i + 2)
+            flanks = motion.depths[part], motion.rates[part]
+            forces.append(torque_on_flanks(model.system.transmissions[name], *flanks))
+        return jnp.concatenate(forces)
 
     def slips(self, model: Model, time: Any, state: State) -> Float[Array, "contacts 3"]:
         """Sliding velocity of every possible contact along its sliding directions, from the
@@ -271,7 +271,7 @@ class CompliantContact(AbstractFormulation):
             model: the mechanism, a `Model`.
         """
         speeds = any(place is not None for place in impact_speed_places(model.layout))
-        return speeds or any(own.has_twist for own in model.system.transmissions.values())
+        return speeds or any(train.has_twist for train in model.system.transmissions.values())
 
     def remember(
         self, model: Model, state: State, before: ContactMotion, after: ContactMotion, length: Any
@@ -296,9 +296,9 @@ class CompliantContact(AbstractFormulation):
             return sp.stack(entries)
         if model.layout.plays:
             count = model.layout.joint_contacts
-            before, after = (ContactMotion(*(x[:count] for x in own)) for own in (before, after))
-        held = sp.stack([0 if place is None else entries[place] for place in places])
-        speeds = remembered(held, before, after, length)
+            before, after = (ContactMotion(*(x[:count] for x in pair)) for pair in (before, after))
+        previous = sp.stack([0 if place is None else entries[place] for place in places])
+        speeds = remembered(previous, before, after, length)
         for i, place in enumerate(places):
             if place is not None:
                 entries[place] = speeds[i]
@@ -330,8 +330,8 @@ class CompliantContact(AbstractFormulation):
         forces = jnp.zeros(len(depths) if self.damped(model) else 0)
         surplus = jnp.zeros(model.layout.speeds if depths else 0)
         films = jnp.zeros(AXES * len(films_of(model.system)))
-        known = speeds, sp.stack(depths), sp.stack(slips), reactions, films, surplus, forces
-        return jnp.concatenate(known)
+        parts = speeds, sp.stack(depths), sp.stack(slips), reactions, films, surplus, forces
+        return jnp.concatenate(parts)
 
     def caused_by_contact(self, model: Model, time: Any, state: State) -> tuple:
         """Accelerations without contact, and what contact adds to them, where a run begins.
@@ -345,19 +345,19 @@ class CompliantContact(AbstractFormulation):
             two arrays [m/s^2, rad/s^2].
         """
         closed = (self.contacts(model, time, state).depths > 0).astype(float)
-        own = slice(model.layout.coordinates, model.layout.memory_start)
+        place = slice(model.layout.coordinates, model.layout.memory_start)
         # One program for both.
-        at = lambda shares: self.rate(model, time, state, shares)[0][own]
-        free, whole = jax.lax.map(at, jnp.stack([jnp.zeros_like(closed), closed]))
-        return free, whole - free
+        at = lambda shares: self.rate(model, time, state, shares)[0][place]
+        free, total = jax.lax.map(at, jnp.stack([jnp.zeros_like(closed), closed]))
+        return free, total - free
 
     def _reactions(self, model: Model, time: Any, entries: list) -> list:
         """Numbers of the reactions of ideal joints that rub."""
         if not rubbing_joints(model.system):
             return []
         forces, q, _ = _acting(model, time, entries)
-        found = joint_friction.rubbing(model, forces, q).answer.reactions
-        return [x for own in found for part in own for x in part]
+        reactions = joint_friction.rubbing(model, forces, q).answer.reactions
+        return [x for reaction in reactions for part in reaction for x in part]
 
     def implicit_step(
         self,
@@ -394,18 +394,18 @@ class CompliantContact(AbstractFormulation):
         films = len(films_of(model.system))
         counts += [AXES * films, count if directions else 0]
         smooth, contact, depths, slips, reactions, squeezes, surplus = split(numbers, counts)
-        met_before = [Reaction(own[:3], own[3:]) for own in split(reactions, [REACTION] * rubbing)]
+        before = [Reaction(row[:3], row[3:]) for row in split(reactions, [REACTION] * rubbing)]
         past = [PastSlip(*slip) for slip in split(slips, [3] * sum(directions))]
         motion = list(smooth), list(contact), list(depths)
-        held = split(past, directions), tuple(met_before)
+        friction = split(past, directions), tuple(before)
         squeezes = tuple(split(squeezes, [AXES] * films))
-        last = WarmStart(*motion, *held, surplus=list(surplus), films=squeezes)
+        last = WarmStart(*motion, *friction, surplus=list(surplus), films=squeezes)
         entries, how = model.entries(state), (bias, newton_iterations)
         after, now = midpoint_step.step(model, time_step, entries, last, *how)
-        met = [x for contact in now.slips for slip in contact for x in slip]
-        met += [x for own in now.reactions for part in own for x in part]
-        met += [x for own in now.films for x in own]
-        handed_on = [*now.smooth, *now.contact, *now.depths, *met, *now.surplus, *now.forces]
+        flat = [x for contact in now.slips for slip in contact for x in slip]
+        flat += [x for row in now.reactions for part in row for x in part]
+        flat += [x for row in now.films for x in row]
+        handed_on = [*now.smooth, *now.contact, *now.depths, *flat, *now.surplus, *now.forces]
         return sp.stack(after), sp.stack(handed_on)
 
 
@@ -416,23 +416,23 @@ def _row_motions(model: Model, time: Any, state: State, flanks: Any = None) -> l
     motions = kinematics.link_motions(system, *unpack_motion(system, entries), time)
     bearings, relative = system.bearings.items(), relative_motions(system, motions)
     calls = [
-        (bearing.joint, own, model.worn.get(name, {}))
-        for (name, bearing), own in zip(bearings, relative, strict=True)
+        (bearing.joint, motion, model.worn.get(name, {}))
+        for (name, bearing), motion in zip(bearings, relative, strict=True)
     ]
     points = [row for joint in map_grouped(contact_point.point_motions, calls) for row in joint]
-    laws = [own for bearing in system.bearings.values() for own in bearing.contact_laws]
-    rubs = [own.friction is not None for own in laws]
-    found = [(*row[:2], row[2] if own else ()) for own, row in zip(rubs, points, strict=True)]
+    laws = [law for bearing in system.bearings.values() for law in bearing.contact_laws]
+    rubs = [law.friction is not None for law in laws]
+    rows = [(*row[:2], row[2] if rub else ()) for rub, row in zip(rubs, points, strict=True)]
     if model.layout.plays:
         followed = unpack_followed(model.layout, entries, flanks)
-        found += _flanks_of(pressing_of(system, motions, followed))
-    return found
+        rows += _flanks_of(pressing_of(system, motions, followed))
+    return rows
 
 
 def _flanks_of(pressing: dict[str, Pressing]) -> list:
     """(depth, rate, no slip) of every flank."""
-    pairs = (pair for own in pressing.values() for pair in zip(own.depths, own.rates, strict=True))
-    return [(*pair, ()) for pair in pairs]
+    flanks = (zip(each.depths, each.rates, strict=True) for each in pressing.values())
+    return [(*pair, ()) for flank in flanks for pair in flank]
 
 
 def _acting(
@@ -452,10 +452,10 @@ def _with_shares(memories: dict, shares: Any) -> dict:
     """Memories of all contacts with the shares of them that act."""
     if shares is None:
         return memories
-    count, found = itertools.count(), {}
+    count, result = itertools.count(), {}
     for name, points in memories.items():
-        found[name] = tuple(point._replace(share=shares[next(count)]) for point in points)
-    return found
+        result[name] = tuple(point._replace(share=shares[next(count)]) for point in points)
+    return result
 
 
 def _stacked(points: list) -> ContactMotion:

@@ -65,7 +65,7 @@ def contact_rates(mechanism: Mechanism, duration: float, step: float) -> dict[st
     `step` [s] (over which friction that remembers is taken)."""
     # A drive takes its link to where the others, which stay at their start, cannot follow.
     times = jnp.zeros(1) if mechanism.driven else jnp.linspace(0.0, duration, INSTANTS)
-    bearings, found = prepare(mechanism).bearings, {}
+    bearings, result = prepare(mechanism).bearings, {}
     for name, at_times in _pressed(*ready(mechanism)[:2], times).items():
         loads = np.asarray(at_times.acceleration / jnp.maximum(at_times.lightness, LEAST_LIGHTNESS))
         worst = int(np.argmax(np.max(loads, axis=1)))
@@ -73,13 +73,13 @@ def contact_rates(mechanism: Mechanism, duration: float, step: float) -> dict[st
         at, lightness, across = (part.tolist() for part in pressed[:3])
         travel = float(pressed.travel)
         each = [
-            _rates(own, at[k], lightness[k], across[k], travel, step)
-            for k, own in enumerate(bearings[name].contact_laws)
-            if own.contact.compliant
+            _rates(laws, at[k], lightness[k], across[k], travel, step)
+            for k, laws in enumerate(bearings[name].contact_laws)
+            if laws.contact.compliant
         ]
         if each:
-            found[name] = max(each, key=lambda rates: rates.force)
-    return found
+            result[name] = max(each, key=lambda rates: rates.force)
+    return result
 
 
 def _rates(

@@ -210,11 +210,11 @@ def indentations(model: Model, time: Any, q: tuple, v: tuple) -> list:
     motions = kinematics.link_motions(model.system, q, v, time)
     relative = relative_motions(model.system, motions)
     calls = [
-        (bearing.joint, own.pose, model.worn.get(name, {}))
-        for (name, bearing), own in zip(model.system.bearings.items(), relative, strict=True)
+        (bearing.joint, motion.pose, model.worn.get(name, {}))
+        for (name, bearing), motion in zip(model.system.bearings.items(), relative, strict=True)
     ]
-    found = map_grouped(contact_point.depths, calls)
-    return [indentation for joint in found for indentation in joint]
+    result = map_grouped(contact_point.depths, calls)
+    return [indentation for joint in result for indentation in joint]
 
 
 def contact_points(
@@ -224,9 +224,9 @@ def contact_points(
     bearings = model.system.bearings
     poses, calls = {}, []
     relative = relative_motions(model.system, motions)
-    for (name, bearing), seen in zip(bearings.items(), relative, strict=True):
-        poses[name] = seen.pose
-        calls.append((bearing.joint, seen, model.worn.get(name, {})))
+    for (name, bearing), motion in zip(bearings.items(), relative, strict=True):
+        poses[name] = motion.pose
+        calls.append((bearing.joint, motion, model.worn.get(name, {})))
 
     def geometry(joint, relative, worn):
         gap_functions = contact_point.gap_function(joint, relative.pose, worn)
@@ -235,7 +235,7 @@ def contact_points(
         )
 
     with jax.named_scope("gap_function"):
-        found = map_grouped(geometry, calls)
+        result = map_grouped(geometry, calls)
     points = []
     jacobians = kinematics.relative_jacobians(
         model.system,
@@ -243,16 +243,16 @@ def contact_points(
         [bearing.closure for bearing in bearings.values()],
         [
             (row_rates, (bearing.joint, gap_functions), poses[name])
-            for (name, bearing), (gap_functions, _) in zip(bearings.items(), found, strict=True)
+            for (name, bearing), (gap_functions, _) in zip(bearings.items(), result, strict=True)
         ],
     )
-    each = zip(bearings.items(), found, jacobians, strict=True)
+    each = zip(bearings.items(), result, jacobians, strict=True)
     for (name, bearing), (gap_functions, rates), jacobian in each:
         start = 0
-        own_laws = contact_point.laws_at(
+        joint_laws = contact_point.laws_at(
             bearing.joint, bearing.contact_laws, poses[name], model.worn.get(name, {})
         )
-        for laws, gap_function in zip(own_laws, gap_functions, strict=True):
+        for laws, gap_function in zip(joint_laws, gap_functions, strict=True):
             end = start + 1 + len(gap_function.candidate.tangents)
             active = 1 if laws.friction is None else end - start
             linear = map(LinearRate, rates[start:end], jacobian[start:end])
@@ -280,8 +280,8 @@ def joint_reports(
     """Reports of the clearance joints."""
     each = zip(system.bearings.items(), by_joint(system, contacts), strict=True)
     return {
-        name: contact_point.assemble(bearing.joint, poses[name], own)
-        for (name, bearing), own in each
+        name: contact_point.assemble(bearing.joint, poses[name], acting)
+        for (name, bearing), acting in each
     }
 
 
@@ -299,8 +299,8 @@ def rigid_reports(
         laws, gap = contact.laws, contact.gap_function
         pressed = jnp.maximum(gap.indentation, _pressed(laws, normal))
         rates = tuple(x.value if change is None else x.at(change) for x in contact.rates)
-        given = laws, gap, rates, normal, tuple(tractions), 0.0
-        acting.append(ActingContact(*given, pressed=pressed))
+        values = laws, gap, rates, normal, tuple(tractions), 0.0
+        acting.append(ActingContact(*values, pressed=pressed))
     return joint_reports(system, poses, acting)
 
 

@@ -85,66 +85,66 @@ class Step(NamedTuple):
         return split(values, [contact.point.active for contact in self.contacts])
 
 
-def memories_after(whole: Step, solution: ContactSolution) -> list:
+def memories_after(step: Step, solution: ContactSolution) -> list:
     """What the laws remember at the end of the step, as entries of the state."""
-    rates, forces = whole.per_contact(solution.rates), whole.per_contact(solution.forces)
+    rates, forces = step.per_contact(solution.rates), step.per_contact(solution.forces)
     after = []
-    for contact, rate, force in zip(whole.contacts, rates, forces, strict=True):
+    for contact, rate, force in zip(step.contacts, rates, forces, strict=True):
         bristles = laws_over_step.bristles_after(
-            contact.point.laws, contact.memory.bristles, whole.averaging, rate, -force[0]
+            contact.point.laws, contact.memory.bristles, step.averaging, rate, -force[0]
         )
         after.append(contact.memory._replace(bristles=bristles))
-    system = whole.model.system
+    system = step.model.system
     memories = dict(zip(system.bearings, by_joint(system, after), strict=True))
-    return pack_memories(whole.model.layout, memories)
+    return pack_memories(step.model.layout, memories)
 
 
 def passive_rates_over(
-    whole: Step, solution: ContactSolution, ends: list, mean: list
+    step: Step, solution: ContactSolution, ends: list, mean: list
 ) -> tuple[list, tuple[Reaction, ...]]:
     """(rates of what only follows the motion, with the forces that the step was made with;
     reactions of ideal joints that rub). `ends`: slips at its end along the directions in its
     middle; `mean`: speeds over it."""
-    model, free_motion = whole.model, whole.middle.free_motion
+    model, free_motion = step.model, step.middle.free_motion
     layout, system = model.layout, model.system
     # Of all that the speeds gain by contact, so also where an iteration ends with a pull.
-    normal = [-own[0] for own in whole.per_contact(solution.forces)]
-    pressing = [sp.total(own) for own in by_joint(system, normal)]
-    if not (layout.wear or layout.energies or whole.joints or whole.films):
+    normal = [-part[0] for part in step.per_contact(solution.forces)]
+    pressing = [sp.total(part) for part in by_joint(system, normal)]
+    if not (layout.wear or layout.energies or step.joints or step.films):
         return [*followed_rates(system, layout, free_motion.forces), *pressing], ()
-    change = whole.middle.change_to(mean)
-    acting = _acting_contacts(whole, solution, ends, change)
+    change = step.middle.change_to(mean)
+    acting = _acting_contacts(step, solution, ends, change)
     reports = joint_reports(system, free_motion.poses, acting)
     forces = free_motion.forces._replace(reports=reports)
-    if layout.energies or whole.joints or whole.films:
-        motion = unpack_motion(system, [*whole.middle.halfway, *whole.middle.predicted])
+    if layout.energies or step.joints or step.films:
+        motion = unpack_motion(system, [*step.middle.halfway, *step.middle.predicted])
         motions = free_motion.forces.motions
-        time, followed = whole.time_step.middle, forces.followed
-        if whole.films:
+        time, followed = step.time_step.middle, forces.followed
+        if step.films:
             # Speeds at its start alternate about those that stiff films determine.
-            motion = unpack_motion(system, [*whole.middle.halfway, *mean])
+            motion = unpack_motion(system, [*step.middle.halfway, *mean])
             motions = kinematics.link_motions(system, *motion, time)
         forces = forces_at(system, motions, reports, *motion, time, followed)
-        forces = with_films(forces, whole.films, solution)
+        forces = with_films(forces, step.films, solution)
         pressing += film_losses(system, forces)
     accelerations, multipliers = (
         [sp.add(a, b) for a, b in zip(free, caused, strict=True)]
         for free, caused in (
-            (whole.equations.free, solution.accelerations),
-            (whole.equations.multipliers, solution.multipliers),
+            (step.equations.free, solution.accelerations),
+            (step.equations.multipliers, solution.multipliers),
         )
     )
     total = link_accelerations(system, accelerations, tuple(multipliers))
     passive, reactions = Passive(), tuple[Reaction, ...]()
-    if whole.joints:
-        found = friction(whole.joints, whole.per_joint(solution.forces), change), change
+    if step.joints:
+        rubbing = friction(step.joints, step.per_joint(solution.forces), change), change
         # The accelerations contain the joints' friction, so the power of a drive asks for it too.
-        passive, reactions, forces = rubbed(model, whole.joints, forces, whole.middle, total, found)
+        passive, reactions, forces = rubbed(model, step.joints, forces, step.middle, total, rubbing)
     return passive_rates(system, layout, forces, total, passive, pressing), reactions
 
 
 def _acting_contacts(
-    whole: Step, solution: ContactSolution, ends: list, change: list
+    step: Step, solution: ContactSolution, ends: list, change: list
 ) -> list[ActingContact]:
     """The contacts with mean forces and rates over the step, and the mean indentation while in
     contact; `ends`: slips at the end; `change`: from the predicted speeds to the mean ones, which
@@ -152,10 +152,10 @@ def _acting_contacts(
     """
     acting = []
     for contact, slid, rates, forces in zip(
-        whole.contacts,
+        step.contacts,
         ends,
-        whole.per_contact(solution.rates),
-        whole.per_contact(solution.forces),
+        step.per_contact(solution.rates),
+        step.per_contact(solution.forces),
         strict=True,
     ):
         point = contact.point
@@ -165,16 +165,16 @@ def _acting_contacts(
                 point.laws, slip, positive_part(-forces[0]), forces[1:]
             )
         slip += tuple(rate.at(change) for rate in point.rates[point.active :])
-        end = contact.depth + whole.averaging.length * rates[0]
+        end = contact.depth + step.averaging.length * rates[0]
         depth = 0.5 * (positive_part(contact.depth) + positive_part(end))
         forces = positive_part(-forces[0]), forces[1:], point.laws.contact.elastic_force(depth)
-        given = point.laws, point.gap_function, (rates[0], *slip), *forces
+        values = point.laws, point.gap_function, (rates[0], *slip), *forces
         memory = PointState(None, contact.memory.bristles)
-        acting.append(ActingContact(*given, memory, speed, depth))
+        acting.append(ActingContact(*values, memory, speed, depth))
     return acting
 
 
-def told_by_depth(laws: ContactLaws) -> bool:
+def follows_depth(laws: ContactLaws) -> bool:
     """Whether a contact presses hardest where it is deepest, or by a law that follows its worn
     radius, which is not known between saving times."""
     return laws.contact.lossless or laws.unfitted is not None
@@ -182,7 +182,7 @@ def told_by_depth(laws: ContactLaws) -> bool:
 
 def damped(system: System) -> bool:
     """Whether some contact's largest force is not told by its depth."""
-    return not all(map(told_by_depth, _laws(system)))
+    return not all(map(follows_depth, _laws(system)))
 
 
 def normal_forces(model: Model, state: State, motion: ContactMotion) -> PerContact:
@@ -191,7 +191,7 @@ def normal_forces(model: Model, state: State, motion: ContactMotion) -> PerConta
     places = impact_speed_places(model.layout)
     speeds = (None if place is None else state[place] for place in places)
     each = zip(_laws(model.system), motion.depths, motion.rates, speeds, strict=True)
-    return jnp.asarray(sp.stack([_damped_force(*own) for own in each]))
+    return jnp.asarray(sp.stack([_damped_force(*contact) for contact in each]))
 
 
 def forces_at_start(system: System, contacts: list[ContactOverStep], faster: list) -> tuple:
@@ -199,18 +199,16 @@ def forces_at_start(system: System, contacts: list[ContactOverStep], faster: lis
     speeds tell (`midpoint_step`) [m/s]; () where none damps."""
     each = zip(contacts, faster, strict=True)
     return tuple(
-        _damped_force(
-            own.point.laws, own.depth, sp.add(own.approach, more), own.memory.impact_speed
-        )
-        for own, more in (each if damped(system) else ())
+        _damped_force(c.point.laws, c.depth, sp.add(c.approach, more), c.memory.impact_speed)
+        for c, more in (each if damped(system) else ())
     )
 
 
 def _damped_force(laws: ContactLaws, depth: Any, rate: Any, impact_speed: Any) -> Any:
-    if told_by_depth(laws):
+    if follows_depth(laws):
         return 0.0
     return laws.contact.normal_force(depth, rate, impact_speed_now(impact_speed, rate))
 
 
 def _laws(system: System) -> list[ContactLaws]:
-    return [own for bearing in system.bearings.values() for own in bearing.contact_laws]
+    return [laws for bearing in system.bearings.values() for laws in bearing.contact_laws]

@@ -146,11 +146,11 @@ def delassus_operator(free_motion: FreeMotion, rows: list[JacobianRow]) -> Delas
     """
     closures = free_motion.closures
     inverse = constrained_inverse(
-        free_motion.masses, closures.rows, closures.alike, closures.dependence
+        free_motion.masses, closures.rows, closures.kinds, closures.dependence
     )
     respond, constrain = inverse
     (unheld,) = respond([list(free_motion.right)])
-    free, multipliers = constrain(unheld, closures.wanted)
+    free, multipliers = constrain(unheld, closures.targets)
     size, still = len(free_motion.right), [0] * len(multipliers)
     columns = respond([[row.get(j, 0) for j in range(size)] for row in rows])
     responses = [constrain(column, still) for column in columns]
@@ -172,7 +172,7 @@ def implicit_contact(
     size = len(free_motion.right)
     if rows and not free_motion.closures.rows and len(rows) >= size:
         operator = delassus_operator(free_motion, [])
-        mass = _whole(free_motion.masses)
+        mass = _block_diagonal(free_motion.masses)
         direction = _in_speeds if size < MANY else _in_many_speeds
         return ImplicitContact(operator.free, operator.multipliers, direction(mass, rows))
     operator = delassus_operator(free_motion, rows)
@@ -183,7 +183,7 @@ def implicit_contact(
     return ImplicitContact(operator.free, operator.multipliers, lambda *_: nothing)
 
 
-def _whole(masses: list) -> list[list]:
+def _block_diagonal(masses: list) -> list[list]:
     """Mass matrices of the subtrees as one."""
     size = sum(len(mass) for mass in masses)
     out: list[list[Any]] = [[0] * size for _ in range(size)]

@@ -55,10 +55,10 @@ class FilmOverStep(NamedTuple):
         half = 0.5 * self.length
 
         def force(rates):
-            turned, before = turning(self.arm, self.spin), self.last
-            moved = zip(self.start, rates, turned, before, strict=True)
+            half_spin, before = turning(self.arm, self.spin), self.last
+            moved = zip(self.start, rates, half_spin, before, strict=True)
             offset = tuple(x + half * jnp.where(frozen, v, r + t) for x, r, t, v in moved)
-            off_arm = zip(rates, turned, turning(offset, self.spin), strict=True)
+            off_arm = zip(rates, half_spin, turning(offset, self.spin), strict=True)
             return self.film.squeeze_force(offset, tuple(r + t - now for r, t, now in off_arm))
 
         rates = tuple(jnp.asarray(rate, float) for rate in rates)
@@ -70,14 +70,14 @@ class FilmOverStep(NamedTuple):
     def first_rates(self, free: tuple) -> list:
         """Rates to set out from: those of the step before, or without one the `free` ones."""
         before = zip(self.last, turning(self.arm, self.spin), free, strict=True)
-        return [jnp.where(self.begun, v - t, rate) for v, t, rate in before]
+        return [jnp.where(self.has_previous, v - t, rate) for v, t, rate in before]
 
     def mean_velocity(self, rates: tuple) -> tuple:
         """Mean velocity of the journal in the bearing at mean rates [m/s]."""
         return tuple(r + t for r, t in zip(rates, turning(self.arm, self.spin), strict=True))
 
     @property
-    def begun(self) -> Any:
+    def has_previous(self) -> Any:
         """Whether there was a step before."""
         return sp.total(abs(x) for x in self.last) > 0
 
@@ -90,13 +90,13 @@ def turning(offset: tuple, spin: Any) -> tuple:
 
 def films_of(system: System) -> dict[str, JournalFilm]:
     """The films of joints whose forces steps may find, by name."""
-    filled = [name for name, own in system.bearings.items() if own.joint.gap_load(name) is not None]
+    filled = [name for name, b in system.bearings.items() if b.joint.gap_load(name) is not None]
     return {film_of(name): system.loads[film_of(name)] for name in filled}
 
 
 def film_losses(system: System, forces: Forces) -> list:
     """Power that each film takes [W]."""
-    given = {
+    by_film = {
         name: [
             sp.mul(row.force, row.direction.rate(forces.motions))
             for row in forces.rows
@@ -104,7 +104,7 @@ def film_losses(system: System, forces: Forces) -> list:
         ]
         for name in films_of(system)
     }
-    return [sp.neg(sp.total(powers)) for powers in given.values()]
+    return [sp.neg(sp.total(powers)) for powers in by_film.values()]
 
 
 def without_films(model: Model) -> Model:
@@ -127,7 +127,7 @@ def films_over_step(
         return ()
     motions = middle.free_motion.forces.motions
     motion = unpack_motion(system, [*middle.q, *middle.v])
-    begun = kinematics.link_motions(system, *motion, time)
+    start_motions = kinematics.link_motions(system, *motion, time)
     for (name, film), last in zip(films.items(), past, strict=True):
         closure = system.load_closures[name]
         pose = kinematics.relative_motion(closure, motions)[1]
@@ -138,7 +138,7 @@ def films_over_step(
 
         units = [along(*unit).linear_rate(system, motions) for unit in UNITS]
         spin = units[-1].value
-        start = kinematics.relative_motion(closure, begun)[1].translation[:AXES]
+        start = kinematics.relative_motion(closure, start_motions)[1].translation[:AXES]
         arm = tuple(x + 0.5 * length * v for x, v in zip(start, last, strict=True))
         sizes = (1, 0, 0.5 * arm[1]), (0, 1, -0.5 * arm[0])
         rates = tuple(combine_rates(size, units) for size in sizes)
@@ -164,15 +164,15 @@ def solve_with_films(
     ]
     matrix, right = [], []
     for k, (forces, falls, about) in enumerate(tangents):
-        own = range(first + AXES * k, first + AXES * (k + 1))
+        rows = range(first + AXES * k, first + AXES * (k + 1))
         for i in range(AXES):
             gain = [
-                sp.total(falls[i][m] * response.rates[r] for m, r in enumerate(own))
+                sp.total(falls[i][m] * response.rates[r] for m, r in enumerate(rows))
                 for response in responses
             ]
             matrix.append([g + float(AXES * k + i == j) for j, g in enumerate(gain)])
-            gone = [base.rates[r] - about[m] for m, r in enumerate(own)]
-            right.append(forces[i] - sp.dot(falls[i], gone))
+            difference = [base.rates[r] - about[m] for m, r in enumerate(rows)]
+            right.append(forces[i] - sp.dot(falls[i], difference))
     sizes = eliminate([sp.stack([*row, x]) for row, x in zip(matrix, right, strict=True)])
     add = lambda part: [
         sp.add(x, sp.dot(sizes, [getattr(response, part)[i] for response in responses]))
@@ -204,7 +204,7 @@ def velocity_lag(
             wrench = Wrench(unit, (0, 0, 0))
             rate = Direction((OnClosure(closure, pose, wrench),)).linear_rate(system, motions)
             rows.append(rate.row)
-            lags.append(now + jnp.where(film.begun, 0.5 * (now - before), 0.0) - rate.value)
+            lags.append(now + jnp.where(film.has_previous, 0.5 * (now - before), 0.0) - rate.value)
     none, ones = [0.0] * size, [1.0] * size
     columns = [
         equations.solve(ones, none, LinearLaws(unit_vector(size, j), none, none)).accelerations
@@ -232,8 +232,8 @@ def with_films(
     """The forces with those of films in their mean over a step, and what these take."""
     rows, loss = [], forces.damping_loss
     means = per_film(films, solution.forces), per_film(films, solution.rates)
-    for film, own, speeds in zip(films, *means, strict=True):
-        pairs = zip(film.directions, own, strict=True)
+    for film, pushes, speeds in zip(films, *means, strict=True):
+        pairs = zip(film.directions, pushes, strict=True)
         rows += [Row(film.name, direction, force) for direction, force in pairs]
-        loss = sp.sub(loss, sp.dot(own, speeds))
+        loss = sp.sub(loss, sp.dot(pushes, speeds))
     return with_rows(forces._replace(damping_loss=loss), rows) if films else forces

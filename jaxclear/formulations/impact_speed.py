@@ -127,7 +127,7 @@ def passage(path: tuple, level: Scalar, last: Array, target: Any = None) -> Arra
     return jax.lax.while_loop(lambda carry: carry[0] < turns, turn, (jnp.zeros((), int), *out))[3]
 
 
-def passed(path: tuple, share: Array) -> Array:
+def with_path_derivative(path: tuple, share: Array) -> Array:
     """A share of the step at which the cubic passes 0, with its derivative by the path."""
 
     def late(numbers, tangents):

@@ -19,7 +19,7 @@ from jaxclear.formulations.permanent_reactions import (
     FrictionResponse,
     PermanentJoint,
     friction_response,
-    own_part,
+    joint_part,
     placed,
     sliding_speeds,
     touching,
@@ -265,7 +265,7 @@ def passive_of(
     rates = wear_rates(model, forces.motions, q, ends, slips)
     loss, driven = friction_losses(fixed, friction, slips)
     parts = zip(fixed, answer.reactions, placed(fixed), strict=True)
-    pressed = [pressing(one, part, own_part(friction, place)) for one, part, place in parts]
+    pressed = [pressing(one, part, joint_part(friction, place)) for one, part, place in parts]
     return Passive(rates, loss, driven, pressed)
 
 

@@ -33,23 +33,23 @@ class Braking(NamedTuple):
 
 class SlipAtStart(NamedTuple):
     """Slip [m/s] in one sliding direction as a step begins: along the direction in the middle of
-    the step (`along`), along its own (`own`), and by how much the slip at the end of the step will
-    be more along the direction that is then than along the one in the middle (`turn`);
-    `traction` [N]: that of the step before."""
+    the step (`along`), along the direction at the start (`current`), and by how much more the slip
+    at the end of the step will be along the direction there than along the one in the middle
+    (`turn`); `traction` [N]: that of the step before."""
 
     along: Any
-    own: Any
+    current: Any
     turn: Any
     traction: Any
 
 
 class PastSlip(NamedTuple):
     """What a step hands on of one sliding direction: friction [N], and the slip at its end along
-    the direction in its middle (`along`) and along the one at its end (`own`)."""
+    the direction in its middle (`along`) and along the one at its end (`current`)."""
 
     traction: Any
     along: Any
-    own: Any
+    current: Any
 
 
 def braking(laws: ContactLaws, h: Any, bias: Any, depth: Any, lightnesses: list) -> Braking | None:
@@ -75,16 +75,16 @@ def at_start(now: tuple, past: tuple, depth: Any) -> tuple[SlipAtStart, ...]:
     out = []
     for slip, last in zip(now, past, strict=True):
         turn = jnp.where(depth > 0, 0.5 * sp.sub(slip, last.along), 0.0)
-        own = jnp.where(depth > 0, last.own, slip)
-        out.append(SlipAtStart(slip, own, turn, last.traction))
+        current = jnp.where(depth > 0, last.current, slip)
+        out.append(SlipAtStart(slip, current, turn, last.traction))
     return tuple(out)
 
 
 def unhindered(slip: SlipAtStart, braking: Braking, acceleration: Any) -> Any:
     """Slip [m/s] at the instant at which friction is taken, without contact: `acceleration`
     [m/s^2]."""
-    turned = (2 * braking.theta - 1) * slip.turn
-    return slip.along + turned + braking.reach * acceleration
+    turning = (2 * braking.theta - 1) * slip.turn
+    return slip.along + turning + braking.reach * acceleration
 
 
 def at_end(start: tuple, braking: Braking | None, taken: tuple) -> tuple:
@@ -110,7 +110,7 @@ def handed_on(start: tuple, end: tuple, tractions: tuple) -> tuple[PastSlip, ...
 
 def mean_slip(start: tuple, end: tuple) -> tuple:
     """Mean slip of a contact over a step, along its directions as they turn."""
-    return tuple(0.5 * (s.own + slip + s.turn) for s, slip in zip(start, end, strict=True))
+    return tuple(0.5 * (s.current + slip + s.turn) for s, slip in zip(start, end, strict=True))
 
 
 def wearing_speed(laws: ContactLaws, slip: tuple, normal: Any, tractions: tuple) -> Any:

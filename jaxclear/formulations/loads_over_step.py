@@ -60,9 +60,9 @@ class OverStep(AbstractCoordinateLoad):
         return dataclasses.replace(self, load=self.load.under(force))
 
 
-class HeldCoordinate(NamedTuple):
-    """What a step finds the force of: the coordinate `on` which it acts, of a joint, a motor, or
-    the twist of a coupling (then of no `load`), and the sides at which it stops that."""
+class SolvedLoad(NamedTuple):
+    """A load whose force a step solves for: the coordinate `on` which it acts, of a joint, a motor,
+    or the twist of a coupling (then of no `load`), and the sides at which it stops that."""
 
     on: str
     sides: tuple[Side, ...]
@@ -92,17 +92,17 @@ class HeldCoordinate(NamedTuple):
         return value_at(as_pressed(system, motions, load, time, followed).dry_friction(), time)
 
 
-def found_over_steps(system: System) -> System:
-    """The system with stops and dry friction as loads whose force steps find."""
-    found = {
+def with_solved_loads(system: System) -> System:
+    """The system with stops and dry friction as loads whose force steps solve for."""
+    replaced = {
         name: OverStep(load.coordinates()[0], load)
         for name, load in coordinate_loads(system)
         if load.sides() or load.dry_friction() is not None
     }
-    return dataclasses.replace(system, loads=system.loads | found) if found else system
+    return dataclasses.replace(system, loads=system.loads | replaced) if replaced else system
 
 
-def check_found_over_steps(mechanism: Mechanism, integrator: str, seated: bool) -> None:
+def check_solved_loads(mechanism: Mechanism, integrator: str, seated: bool) -> None:
     """Raises `ValueError` for a load whose force steps find, and which they would not ask for what
     its class adds, or for one that is pressed by what has no force at an instant; whether plays are
     `seated`, or rigid."""
@@ -116,12 +116,12 @@ def check_found_over_steps(mechanism: Mechanism, integrator: str, seated: bool) 
                 f"{integrator} takes as {'seated' if seated else 'one between rigid flanks'}, so "
                 "that it has no force at an instant; take Adaptive, FixedStep or ImplicitStep."
             )
-        asked = {"sides": bool(load.sides()), "dry_friction": load.dry_friction() is not None}
+        features = {"sides": bool(load.sides()), "dry_friction": load.dry_friction() is not None}
         kinds = type(load).__mro__
         first = lambda *names: next(
             (i for i, kind in enumerate(kinds) if not vars(kind).keys().isdisjoint(names)), 0
         )
-        for what, finds in asked.items():
+        for what, finds in features.items():
             if finds and first("effect", "force") < first(what):
                 raise ValueError(
                     f'load "{name}" is a {type(load).__name__} with an effect of its own, for '
@@ -133,39 +133,39 @@ def check_found_over_steps(mechanism: Mechanism, integrator: str, seated: bool) 
 
 def with_rigid_flanks(system: System) -> System:
     """The system whose plays with a restitution are between rigid flanks."""
-    plays = {name: own.coupling.play for name, own in system.transmissions.items()}
+    plays = {name: train.coupling.play for name, train in system.transmissions.items()}
     rigid = [name for name, play in plays.items() if play and play.restitution is not None]
     if not rigid:
         return system
-    others = {n: own for n, own in system.transmissions.items() if n not in rigid}
+    others = {n: train for n, train in system.transmissions.items() if n not in rigid}
     flanks = {name: system.transmissions[name] for name in rigid}
     return dataclasses.replace(system, transmissions=others, flanks=flanks)
 
 
-def held(system: System) -> dict[str, HeldCoordinate]:
-    """What steps find the force of, by the name under which states hold its impulse: loads, then
-    plays."""
-    found = {
-        impulse_of(name): HeldCoordinate(load.connection, load.sides(), load)
+def solved_loads(system: System) -> dict[str, SolvedLoad]:
+    """Loads, then plays, whose force steps solve for, by the name under which states hold the
+    impulse."""
+    result = {
+        impulse_of(name): SolvedLoad(load.connection, load.sides(), load)
         for name, load in coordinate_loads(system)
         if isinstance(load, OverStep)
     }
-    for name, own in system.flanks.items():
-        play: Any = own.coupling.play
+    for name, train in system.flanks.items():
+        play: Any = train.coupling.play
         middle, half = middle_of(play), 0.5 * play.play
         sides = Side(1.0, middle - half, play), Side(-1.0, middle + half, play)
-        found[play_of(name)] = HeldCoordinate(name, sides)
-    return found
+        result[play_of(name)] = SolvedLoad(name, sides)
+    return result
 
 
 def may_strike(system: System) -> bool:
     """Whether something may strike: a contact, a coordinate its stop, or a flank the other."""
-    return bool(system.bearings) or any(own.sides for own in held(system).values())
+    return bool(system.bearings) or any(solved.sides for solved in solved_loads(system).values())
 
 
 def load_components(system: System) -> tuple[tuple[str, int], ...]:
     """How many components what steps find the force of has in states that hold impulses."""
-    return tuple((name, 1) for name in held(system))
+    return tuple((name, 1) for name in solved_loads(system))
 
 
 def impulse_of(name: str) -> str:
@@ -178,27 +178,27 @@ def play_of(name: str) -> str:
     return f"play {name}"
 
 
-def with_loads(system: System, forces: Forces, given: dict[str, Any]) -> Forces:
-    """The forces with those `given` by what steps find the force of [N m, N], by its name."""
-    every = held(system)
+def with_loads(system: System, forces: Forces, solved_forces: dict[str, Any]) -> Forces:
+    """The forces with those of loads that steps solve for [N m, N], by name."""
+    every = solved_loads(system)
     if not every:
         return forces
     motions, rows, pressing = forces.motions, [], dict(forces.pressing)
-    for name, own in every.items():
-        direction = own.reading(system, motions, forces.followed)[1]
-        rows.append(Row(own.on, direction, given[name]))
-        if own.load is None:
-            torque, none = -given[name], (0.0, 0.0)
+    for name, solved in every.items():
+        direction = solved.reading(system, motions, forces.followed)[1]
+        rows.append(Row(solved.on, direction, solved_forces[name]))
+        if solved.load is None:
+            torque, none = -solved_forces[name], (0.0, 0.0)
             torques = positive_part(torque), positive_part(-torque)
-            twist = twist_of(motions, system.flanks[own.on])
-            pressing[own.on] = Pressing(torque, None, 0.0, 0.0, twist, none, none, torques)
+            twist = twist_of(motions, system.flanks[solved.on])
+            pressing[solved.on] = Pressing(torque, None, 0.0, 0.0, twist, none, none, torques)
     return with_rows(forces._replace(pressing=pressing), rows)
 
 
 def forces_of_means(instant: Instant) -> dict[str, Any]:
     """By its name the force [N m, N] of all that steps find it of, at a saved instant whose state
     holds impulses."""
-    return {name: instant.means_of(name)[0] for name in held(instant.model.system)}
+    return {name: instant.means_of(name)[0] for name in solved_loads(instant.model.system)}
 
 
 class StopInStep(NamedTuple):
@@ -252,19 +252,19 @@ class LoadsInStep(NamedTuple):
         """Along their forces, those of stops as they open."""
         return [*(one.opening for one in self.stops), *(one.sliding for one in self.rubs)]
 
-    def lost(self, forces: Any, change: list) -> Any:
+    def loss(self, forces: Any, change: list) -> Any:
         """Power [W] that these forces take at speeds that differ so from those at which the loads
         were read."""
         return sp.neg(sp.dot(forces, [rate.at(change) for rate in self.rates]))
 
     def by_load(self, system: System, values: Any) -> dict[str, Any]:
         """Forces or impulses along the rows, as sums by load."""
-        found = dict.fromkeys(held(system), 0.0)
+        sums = dict.fromkeys(solved_loads(system), 0.0)
         signs = [(one.name, one.side.sign) for one in self.stops]
         signs += [(one.name, 1.0) for one in self.rubs]
         for (name, sign), value in zip(signs, values, strict=True):
-            found[name] = found[name] + sign * value
-        return found
+            sums[name] = sums[name] + sign * value
+        return sums
 
 
 NO_LOADS = LoadsInStep((), ())
@@ -276,14 +276,14 @@ def loads_in_step(
     """The loads as a step finds their coordinates."""
     stops: list[StopInStep] = []
     rubs: list[RubInStep] = []
-    for name, own in held(system).items():
-        position, direction = own.reading(system, motions, followed)
+    for name, solved in solved_loads(system).items():
+        position, direction = solved.reading(system, motions, followed)
         speed = direction.linear_rate(system, motions)
-        if own.rubs:
-            rubs.append(RubInStep(name, own.friction(system, motions, time, followed), speed))
+        if solved.rubs:
+            rubs.append(RubInStep(name, solved.friction(system, motions, time, followed), speed))
         stops += [
             StopInStep(name, side, side.beyond(position), speed.times(side.sign))
-            for side in own.sides
+            for side in solved.sides
         ]
     return LoadsInStep(tuple(stops), tuple(rubs))
 
@@ -292,8 +292,8 @@ def beyond_stops(model: Model, time: Any, entries: list, followed: Followed) -> 
     """How far coordinates are beyond the sides of stops [rad, m] at coordinates and speeds, one
     after the other."""
     motions = kinematics.link_motions(model.system, *unpack_motion(model.system, entries), time)
-    found = []
-    for own in held(model.system).values():
-        position = own.reading(model.system, motions, followed)[0] if own.sides else None
-        found += [side.beyond(position) for side in own.sides]
-    return found
+    depths = []
+    for solved in solved_loads(model.system).values():
+        position = solved.reading(model.system, motions, followed)[0] if solved.sides else None
+        depths += [side.beyond(position) for side in solved.sides]
+    return depths

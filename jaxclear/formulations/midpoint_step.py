@@ -69,12 +69,12 @@ class RowRead(NamedTuple):
     def lightness(self, which: int) -> Any:
         """As `contact_rows.lightness`, the diagonal being one of the vectors."""
         pairs = zip(self.entries, self.read[which], strict=True)
-        return sp.total(entry * entry / own for entry, own in pairs)
+        return sp.total(entry * entry / mass for entry, mass in pairs)
 
 
 def read_by(row: JacobianRow, *vectors: Sequence[Any]) -> RowRead:
     """A row with the entries of vectors that it reads."""
-    return RowRead(tuple(row.values()), tuple(tuple(own[j] for j in row) for own in vectors))
+    return RowRead(tuple(row.values()), tuple(tuple(vector[j] for j in row) for vector in vectors))
 
 
 class WarmStart(NamedTuple):
@@ -113,33 +113,33 @@ def step(
     further += [rate.row for film in films for rate in film.rates]
     equations = implicit_contact(middle.free_motion, further)
     contacts = _contacts_at_start(model, averaging, middle, equations.free, entries, last)
-    whole = Step(model, time_step, averaging, middle, contacts, equations, joints, shafts, films)
-    solution = _iterate(whole, last.contact, iterations)
+    step = Step(model, time_step, averaging, middle, contacts, equations, joints, shafts, films)
+    solution = _iterate(step, last.contact, iterations)
     free, caused = equations.free, solution.accelerations
     halfway = lambda x, k, c: x + 0.5 * h * (k + (1 + bias) * c)
     mean = sp.each(halfway, middle.v, free, caused)
     q = middle.end(model, mean, h)
     v = sp.each(lambda x, k, c: x + h * (k + c), middle.v, free, caused)
-    q, depths = _settle(whole, solution, q, v)
+    q, depths = _settle(step, solution, q, v)
     slid = [
         laws_over_step.at_end(contact.slips, contact.braking, rates[1:])
-        for contact, rates in zip(contacts, whole.per_contact(solution.rates), strict=True)
+        for contact, rates in zip(contacts, step.per_contact(solution.rates), strict=True)
     ]
-    after = [*q, *v, *memories_after(whole, solution)]
-    passive, reactions = passive_rates_over(whole, solution, slid, mean)
+    after = [*q, *v, *memories_after(step, solution)]
+    passive, reactions = passive_rates_over(step, solution, slid, mean)
     after += [x + h * rate for x, rate in zip(entries[len(after) :], passive, strict=True)]
     after = within_gaps(model.system, model.layout, after)
     past = [
         laws_over_step.handed_on(contact.slips, end, forces[1:])
         for contact, end, forces in zip(
-            contacts, slid, whole.per_contact(solution.forces), strict=True
+            contacts, slid, step.per_contact(solution.forces), strict=True
         )
     ]
     faster = [h * along(contact.point.rates[0].row, last.surplus) for contact in contacts]
     pressed = forces_at_start(model.system, contacts, faster)
     faster = surplus(bias, free, caused) if contacts else []
     means = per_film(films, solution.rates)
-    means = [film.mean_velocity(own) for film, own in zip(films, means, strict=True)]
+    means = [film.mean_velocity(rates) for film, rates in zip(films, means, strict=True)]
     if films:
         fast = [x + h * more for x, more in zip(v, faster, strict=True)]
         rows = len(solution.rates)
@@ -155,10 +155,10 @@ def surplus(bias: Any, free: list, caused: list) -> list:
     accelerations: an impact's speeds are what they are. Of what rests on a contact it is, times the
     step, all of its speed, of opposite sign, to which a law would answer with damping."""
     many = len(free) >= MANY
-    square = lambda own: jnp.sum(sp.stack(own) ** 2) if many else sum(k * k for k in own)
-    squares = [square(own) for own in (free, caused)]
-    held = jnp.minimum(1.0, safe_sqrt(safe_divide(*squares)))
-    return sp.each(lambda k: 0.5 * bias * held * k, caused)
+    square = lambda vector: jnp.sum(sp.stack(vector) ** 2) if many else sum(k * k for k in vector)
+    squares = [square(vector) for vector in (free, caused)]
+    share = jnp.minimum(1.0, safe_sqrt(safe_divide(*squares)))
+    return sp.each(lambda k: 0.5 * bias * share * k, caused)
 
 
 def _contacts_at_start(
@@ -200,22 +200,22 @@ def _contacts_at_start(
             averaging,
             *(point.laws, point.gap_function.indentation, point.rates[0].value),
             tuple(read_by(rate.row, back, free, diagonal) for rate in point.acting),
-            *own,
+            *rest,
         )
-        for point, *own in zip(points, last.depths, remembered, slips, last.slips, strict=True)
+        for point, *rest in zip(points, last.depths, remembered, slips, last.slips, strict=True)
     ]
-    found = map_many(one, calls)
-    return [ContactOverStep(point, *own) for point, own in zip(points, found, strict=True)]
+    result = map_many(one, calls)
+    return [ContactOverStep(point, *rest) for point, rest in zip(points, result, strict=True)]
 
 
-def _first_rates(whole: Step, last: list) -> tuple[list, list, list]:
+def _first_rates(step: Step, last: list) -> tuple[list, list, list]:
     """Rates of the rows without contact, those from which the iteration sets out, and the forces
     that belong to these.
 
     A contact that is closed at the start sets out from the forces of the step before, one that is
     open from where an impact would end.
     """
-    h, free = whole.averaging.length, whole.equations.free
+    h, free = step.averaging.length, step.equations.free
     unmoved: list[Any] = []
     first: list[Any] = []
     forces: list[Any] = []
@@ -226,50 +226,50 @@ def _first_rates(whole: Step, last: list) -> tuple[list, list, list]:
         free_depth = depth + averaging.length * reached
         deepest = laws_over_step.deepest(laws, mass, approach, free_depth)
         carried_on = reached + averaging.reach * normal.along(1)
-        begun = jnp.where(closed, carried_on, (deepest - depth) / averaging.length)
-        found = [(reached, begun, 0.0)]
+        initial = jnp.where(closed, carried_on, (deepest - depth) / averaging.length)
+        result = [(reached, initial, 0.0)]
         for slip, row in zip(slips, across, strict=True):
             rate = laws_over_step.unhindered(slip, braking, row.along(0))
             traction = jnp.where(closed, slip.traction, 0.0)
-            found.append((rate, jnp.where(closed, slip.own, rate), traction))
-        return tuple(found)
+            result.append((rate, jnp.where(closed, slip.current, rate), traction))
+        return tuple(result)
 
     calls = [
         (
-            *(whole.averaging, contact.point.laws, contact.depth, contact.approach),
+            *(step.averaging, contact.point.laws, contact.depth, contact.approach),
             *(contact.mass, contact.braking, contact.slips),
             tuple(read_by(rate.row, free, last) for rate in contact.point.acting),
         )
-        for contact in whole.contacts
+        for contact in step.contacts
     ]
     for rows in map_many(one, calls):
-        for rate, begun, force in rows:
+        for rate, initial, force in rows:
             unmoved.append(rate)
-            first.append(begun)
+            first.append(initial)
             forces.append(force)
-    back = whole.middle.change_to(whole.middle.v)
-    further = [(rate, joint.reach, joint.reach) for joint in whole.joints for rate in joint.rates]
-    further += [(shaft.rate, 0.5 * h, whole.averaging.reach) for shaft in whole.shafts]
-    further += [(r, 0.5 * h, whole.averaging.reach) for film in whole.films for r in film.rates]
+    back = step.middle.change_to(step.middle.v)
+    further = [(rate, joint.reach, joint.reach) for joint in step.joints for rate in joint.rates]
+    further += [(shaft.rate, 0.5 * h, step.averaging.reach) for shaft in step.shafts]
+    further += [(r, 0.5 * h, step.averaging.reach) for film in step.films for r in film.rates]
     for rate, time, reach in further:
         unmoved.append(sp.add(rate.at(back), time * along(rate.row, free)))
         first.append(sp.add(unmoved[-1], reach * along(rate.row, last)))
         forces.append(0.0)
-    if whole.films:
-        pairs = zip(whole.films, per_film(whole.films, unmoved), strict=True)
-        first = first[: -AXES * len(whole.films)]
+    if step.films:
+        pairs = zip(step.films, per_film(step.films, unmoved), strict=True)
+        first = first[: -AXES * len(step.films)]
         for film, free_rates in pairs:
             first += film.first_rates(free_rates)
     return unmoved, first, forces
 
 
-def _iterate(whole: Step, last: list, iterations: int) -> ContactSolution:
+def _iterate(step: Step, last: list, iterations: int) -> ContactSolution:
     """Newton on the normal forces; friction is solved for at each contact by itself, then the
     contacts move each other. A loop: written out it runs 20 % faster, but its derivatives take six
     times as long to compile.
     """
-    unmoved, rates, forces = _first_rates(whole, last)
-    equations, reaches = whole.equations, whole.reaches()
+    unmoved, rates, forces = _first_rates(step, last)
+    equations, reaches = step.equations, step.reaches()
     if not rates:
         return equations.solve([], [], LinearLaws([], [], []))
     size = len(unmoved)
@@ -277,94 +277,94 @@ def _iterate(whole: Step, last: list, iterations: int) -> ContactSolution:
     def improve(solution, turn):
         rates, forces = map(unstacked, solution[:2])
         tangents = [
-            (*film.tangent(own, turn == 0), own)
-            for film, own in zip(whole.films, per_film(whole.films, rates), strict=True)
+            (*film.tangent(film_rates, turn == 0), film_rates)
+            for film, film_rates in zip(step.films, per_film(step.films, rates), strict=True)
         ]
-        laws = _linear_laws(whole, rates, forces)
+        laws = _linear_laws(step, rates, forces)
         better = solve_with_films(equations, reaches, unmoved, laws, tangents)
         return ContactSolution(*map(sp.stack, better)), None
 
     counts = (size, size, len(equations.free), len(equations.multipliers))
     blank = ContactSolution(*map(jnp.zeros, counts))
     blank = blank._replace(rates=sp.stack(rates), forces=sp.stack(forces))
-    turns = jnp.arange(iterations) if whole.films else None
+    turns = jnp.arange(iterations) if step.films else None
     solution = jax.lax.scan(improve, blank, turns, length=iterations)[0]
     return ContactSolution(*map(unstacked, solution))
 
 
-def _linear_laws(whole: Step, rates: list, forces: list) -> LinearLaws:
+def _linear_laws(step: Step, rates: list, forces: list) -> LinearLaws:
     """The laws of all contacts about given rates and forces; alike joints are traced once."""
 
     def tangents(laws, memories, averaging, *each):
         return tuple(
-            laws_over_step.tangent(own, memory, averaging, *rest)
-            for own, memory, *rest in zip(laws, memories, *each, strict=True)
+            laws_over_step.tangent(law, memory, averaging, *rest)
+            for law, memory, *rest in zip(laws, memories, *each, strict=True)
         )
 
-    system = whole.model.system
+    system = step.model.system
     parts = zip(
-        by_joint(system, [contact.point.laws for contact in whole.contacts]),
-        by_joint(system, [contact.memory for contact in whole.contacts]),
-        by_joint(system, [contact.depth for contact in whole.contacts]),
-        by_joint(system, whole.per_contact(rates)),
-        by_joint(system, whole.per_contact(forces)),
-        by_joint(system, [contact.braking for contact in whole.contacts]),
+        by_joint(system, [contact.point.laws for contact in step.contacts]),
+        by_joint(system, [contact.memory for contact in step.contacts]),
+        by_joint(system, [contact.depth for contact in step.contacts]),
+        by_joint(system, step.per_contact(rates)),
+        by_joint(system, step.per_contact(forces)),
+        by_joint(system, [contact.braking for contact in step.contacts]),
         strict=True,
     )
-    calls = [(laws, memory, whole.averaging, *rest) for laws, memory, *rest in parts]
-    found = [tangent for joint in map_grouped(tangents, calls) for tangent in joint]
-    forces = [force for pushes, _ in found for force in pushes]
-    dampings = [damping for _, falls in found for damping in falls]
+    calls = [(laws, memory, step.averaging, *rest) for laws, memory, *rest in parts]
+    result = [tangent for joint in map_grouped(tangents, calls) for tangent in joint]
+    forces = [force for pushes, _ in result for force in pushes]
+    dampings = [damping for _, falls in result for damping in falls]
     about = list(rates[: len(forces)])
-    for joint, own in zip(whole.joints, whole.per_joint(rates), strict=True):
-        dampings += [damping(joint, own)] * len(own) if own else []
-        forces, about = forces + [0.0] * len(own), about + [0.0] * len(own)
-    twists = rates[len(forces) : len(forces) + len(whole.shafts)]
-    for shaft, rate in zip(whole.shafts, twists, strict=True):
+    for joint, speeds in zip(step.joints, step.per_joint(rates), strict=True):
+        dampings += [damping(joint, speeds)] * len(speeds) if speeds else []
+        forces, about = forces + [0.0] * len(speeds), about + [0.0] * len(speeds)
+    twists = rates[len(forces) : len(forces) + len(step.shafts)]
+    for shaft, rate in zip(step.shafts, twists, strict=True):
         force, falls = shaft.law(rate)
         forces, dampings, about = [*forces, force], [*dampings, falls], [*about, rate]
-    films = [0.0] * (AXES * len(whole.films))
+    films = [0.0] * (AXES * len(step.films))
     forces, dampings, about = forces + films, dampings + films, about + films
     return LinearLaws(forces, dampings, about)
 
 
-def _settle(whole: Step, solution: ContactSolution, q: list, v: list) -> tuple[list, list]:
+def _settle(step: Step, solution: ContactSolution, q: list, v: list) -> tuple[list, list]:
     """Coordinates moved, speeds kept, so that closed contacts are as deep as the forces have worked
     for; and these depths.
 
     Where the gap is curved or worn within a step, the true indentation differs from the one that
     the rates lead to. To let the contact force act on the difference would be energy from nowhere.
     """
-    if not whole.contacts:
+    if not step.contacts:
         return q, []
-    system = whole.model.system
+    system = step.model.system
     motion = unpack_motion(system, [*q, *v])
-    found = contact_rows.indentations(whole.model, whole.time_step.end, *motion)
-    led = _depths_worked_for(whole, solution)
+    true_depths = contact_rows.indentations(step.model, step.time_step.end, *motion)
+    led = _depths_worked_for(step, solution)
     unmoved, weights = [], []
-    for contact, true, assumed in zip(whole.contacts, found, led, strict=True):
+    for contact, true, assumed in zip(step.contacts, true_depths, led, strict=True):
         others = [0.0] * (contact.point.active - 1)
         closed = (true > 0) | (assumed > 0)
         weights += [jnp.where(closed, STIFFNESS * contact.mass, 0.0), *others]
         unmoved += [true - assumed, *others]
-    rows = sum(len(joint.rates) for joint in whole.joints) + len(whole.shafts)
-    further = [0.0] * (rows + AXES * len(whole.films))
+    rows = sum(len(joint.rates) for joint in step.joints) + len(step.shafts)
+    further = [0.0] * (rows + AXES * len(step.films))
     unmoved, weights = unmoved + further, weights + further
     nothing = [0.0] * len(unmoved)
     ones = [1.0] * len(unmoved)
-    shift = whole.equations.solve(ones, unmoved, LinearLaws(nothing, weights, nothing))
+    shift = step.equations.solve(ones, unmoved, LinearLaws(nothing, weights, nothing))
     depths = []
-    for assumed, left in zip(led, whole.per_contact(shift.rates), strict=True):
-        moved = assumed + left[0]
+    for assumed, change in zip(led, step.per_contact(shift.rates), strict=True):
+        moved = assumed + change[0]
         depths.append(jnp.where(moved > 0, jnp.minimum(positive_part(assumed), moved), moved))
     return drift(system, q, q, shift.accelerations, 1.0), depths
 
 
-def _depths_worked_for(whole: Step, solution: ContactSolution) -> list:
+def _depths_worked_for(step: Step, solution: ContactSolution) -> list:
     """Indentations at the end of the step: where the rates lead, but no deeper than the forces have
     worked for. (An unfinished iteration ends with less than the law's force at the depth it
     reaches.)"""
-    rates, forces = whole.per_contact(solution.rates), whole.per_contact(solution.forces)
+    rates, forces = step.per_contact(solution.rates), step.per_contact(solution.forces)
 
     def one(averaging, laws, memory, depth, rate, force):
         law = laws_over_step.mean_force(laws, memory, averaging, depth, rate)
@@ -372,11 +372,11 @@ def _depths_worked_for(whole: Step, solution: ContactSolution) -> list:
         low, end = positive_part(depth), depth + averaging.length * rate
         return jnp.where(end > low, low + share * (end - low), end)
 
-    each = zip(whole.contacts, rates, forces, strict=True)
+    each = zip(step.contacts, rates, forces, strict=True)
     return map_many(
         one,
         [
-            (whole.averaging, own.point.laws, own.memory, own.depth, rate[0], force[0])
-            for own, rate, force in each
+            (step.averaging, contact.point.laws, contact.memory, contact.depth, rate[0], force[0])
+            for contact, rate, force in each
         ],
     )

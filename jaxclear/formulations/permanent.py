@@ -30,18 +30,18 @@ from jaxclear.formulations.joint_friction import (
 )
 from jaxclear.formulations.loads_over_step import (
     beyond_stops,
-    check_found_over_steps,
+    check_solved_loads,
     forces_of_means,
-    found_over_steps,
     load_components,
     loads_in_step,
     with_loads,
+    with_solved_loads,
 )
 from jaxclear.formulations.model import Model, State
 from jaxclear.formulations.permanent_reactions import (
     check_unique,
     friction_response,
-    own_part,
+    joint_part,
     placed,
     sliding_rates,
     touching,
@@ -92,10 +92,10 @@ def fit(mechanism: Mechanism) -> Mechanism:
 
 def _with_seated_plays(mechanism: Mechanism) -> Mechanism:
     couplings: dict[str, Any] = {}
-    for name, own in mechanism.couplings.items():
-        play: Any = own.play
+    for name, original in mechanism.couplings.items():
+        play: Any = original.play
         if play is not None and not play.in_contact:
-            coupling: Any = own
+            coupling: Any = original
             play = dataclasses.replace(play, in_contact=True)
             couplings[name] = dataclasses.replace(coupling, play=play)
     if not couplings:
@@ -144,7 +144,7 @@ class PermanentContact(AbstractFormulation):
 
     def check(self, mechanism, integrator):
         check_friction(mechanism, integrator)
-        check_found_over_steps(mechanism, integrator, seated=True)
+        check_solved_loads(mechanism, integrator, seated=True)
         for name, coupling in mechanism.couplings.items():
             if coupling.play is not None:
                 check_unworn(name, coupling, integrator)
@@ -154,7 +154,7 @@ class PermanentContact(AbstractFormulation):
         return fit(mechanism)
 
     def prepared(self, system):
-        return found_over_steps(system)
+        return with_solved_loads(system)
 
     def impulses(self, system):
         return joint_components(system) + load_components(system)
@@ -164,11 +164,11 @@ class PermanentContact(AbstractFormulation):
         return (count - 1,)
 
     def contact_joints(self, mechanism):
-        return tuple(held.name for held in touching(prepare(mechanism)))
+        return tuple(pair.name for pair in touching(prepare(mechanism)))
 
     def forces(self, instant):
-        held = touching(instant.model.system)
-        friction = [x for one in held for x in friction_of(instant, one.name)]
+        joints = touching(instant.model.system)
+        friction = [x for one in joints for x in friction_of(instant, one.name)]
         forces = with_friction(instant.model.system, instant.forces({}), friction)
         return with_loads(instant.model.system, forces, forces_of_means(instant))
 
@@ -218,58 +218,58 @@ class PermanentContact(AbstractFormulation):
         motions = kinematics.link_motions(system, *motion, time_step.middle)
         followed = unpack_followed(layout, entries)
         forces = applied_forces(system, motions, {}, *motion, time_step.middle, followed)
-        held = touching(system)
-        slips = [sliding_rates(system, motions, one) for one in held]
+        joints = touching(system)
+        slips = [sliding_rates(system, motions, one) for one in joints]
         loads = loads_in_step(system, motions, time_step.middle, followed)
         response = friction_response(model, forces, motion[0], loads)
         before = [x - m for x, m in zip(v, middle, strict=True)]
         free = response.without.accelerations
         ahead = [x + h * free[j] for j, x in enumerate(before)]
         if self.regularised:
-            speeds = [[slip.value for slip in own] for own in slips]
-            problem = regularised_friction(held, speeds, response)
+            speeds = [[slip.value for slip in joint] for joint in slips]
+            problem = regularised_friction(joints, speeds, response)
         else:
             mass = sp.total(link.mass for link in system.links)
-            problem = set_valued_friction(held, slips, before, ahead, h, mass, response)
+            problem = set_valued_friction(joints, slips, before, ahead, h, mass, response)
         if loads.rates:
             problem = with_rows_of_loads(problem, loads, response, before, ahead, h)
-        friction, left, _ = settings.solver().iterate(problem)
-        found = response.at(friction)
-        after = [x + h * found.accelerations[j] for j, x in enumerate(v)]
+        friction, misfit, _ = settings.solver().iterate(problem)
+        answer = response.at(friction)
+        after = [x + h * answer.accelerations[j] for j, x in enumerate(v)]
         mean = [0.5 * (a + b) for a, b in zip(v, after, strict=True)]
         change = [x - m for x, m in zip(mean, middle, strict=True)]
-        sliding = [slip.at(change) for own in slips for slip in own]
-        ends = ends_that_wear(system, found, friction)
+        sliding = [slip.at(change) for joint in slips for slip in joint]
+        ends = ends_that_wear(system, answer, friction)
         centres = centres_of(system, ends)
-        goes = _rates_of(centres, last[len(v) : -1], h)
-        worn = wear_rates(model, motions, motion[0], ends, sliding, goes)
-        given: list = []
-        for one, reaction, place in zip(held, found.reactions, placed(held), strict=True):
-            pressed = pressing(one, reaction, own_part(friction, place))
-            given += [*reaction.force, *reaction.torque, *friction[place], pressed]
+        centre_rates = _rates_of(centres, last[len(v) : -1], h)
+        worn = wear_rates(model, motions, motion[0], ends, sliding, centre_rates)
+        means: list = []
+        for one, reaction, place in zip(joints, answer.reactions, placed(joints), strict=True):
+            pressed = pressing(one, reaction, joint_part(friction, place))
+            means += [*reaction.force, *reaction.torque, *friction[place], pressed]
         end, acting = displace(system, q, mean, h), with_friction(system, forces, friction)
         if loads.rates:
             first = len(friction) - len(loads.rates)
-            own = [friction[first + k] for k in range(len(loads.rates))]
-            by_load = loads.by_load(system, own)
-            given, acting = [*given, *by_load.values()], with_loads(system, acting, by_load)
+            forces_of_loads = [friction[first + k] for k in range(len(loads.rates))]
+            by_load = loads.by_load(system, forces_of_loads)
+            means, acting = [*means, *by_load.values()], with_loads(system, acting, by_load)
             beyond = beyond_stops(model, time_step.end, [*end, *after], followed)
-            way, taken = moved_to_stops(loads, beyond, response, own, h)
-            end = displace(system, end, way, 1.0)
-        solution = link_accelerations(system, found.accelerations, found.multipliers)
-        passive = Passive(worn, *friction_losses(held, friction, sliding))
-        rates = passive_rates(system, layout, acting, solution, passive, given)
+            shift, taken = moved_to_stops(loads, beyond, response, forces_of_loads, h)
+            end = displace(system, end, shift, 1.0)
+        solution = link_accelerations(system, answer.accelerations, answer.multipliers)
+        passive = Passive(worn, *friction_losses(joints, friction, sliding))
+        rates = passive_rates(system, layout, acting, solution, passive, means)
         gained = [h * rate for rate in rates]
         if loads.rates and layout.energies:
-            lost = taken + h * loads.lost(own, change)
-            gained[layout.energies.index("damping_loss") - len(layout.energies)] += lost
+            loss = taken + h * loads.loss(forces_of_loads, change)
+            gained[layout.energies.index("damping_loss") - len(layout.energies)] += loss
         end = [*end, *after]
         end += [x + g for x, g in zip(entries[len(end) :], gained, strict=True)]
-        for index, value in moved_in_films(model, motions, followed, found.reactions, h).items():
+        for index, value in moved_in_films(model, motions, followed, answer.reactions, h).items():
             end[index] = value
-        residual = jnp.maximum(last[-1], left)
-        handed = [found.accelerations[j] for j in range(len(v))]
-        handed += [x for own in centres.values() for centre in own for x in centre]
+        residual = jnp.maximum(last[-1], misfit)
+        handed = [answer.accelerations[j] for j in range(len(v))]
+        handed += [x for joint in centres.values() for centre in joint for x in centre]
         return sp.stack(end), sp.stack([*handed, residual])
 
 
@@ -286,12 +286,12 @@ def _rates_of(centres: Centres, before: Any, h: Any) -> Centres:
     """How fast the centres have moved since a step before [m/s], where they were known then."""
     rates: Centres = {}
     start = 0
-    for name, own in centres.items():
+    for name, points in centres.items():
         rates[name] = []
-        for centre in own:
-            known = tuple(before[start + i] for i in range(3))
+        for centre in points:
+            previous = tuple(before[start + i] for i in range(3))
             start += 3
-            there = sp.norm(known) > 0
-            way = sp.minus(centre, known)
-            rates[name].append(tuple(jnp.where(there, x / h, 0.0) for x in way))
+            there = sp.norm(previous) > 0
+            travel = sp.minus(centre, previous)
+            rates[name].append(tuple(jnp.where(there, x / h, 0.0) for x in travel))
     return rates

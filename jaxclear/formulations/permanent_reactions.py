@@ -51,24 +51,24 @@ class PermanentJoint(NamedTuple):
 def touching(system: System) -> tuple[PermanentJoint, ...]:
     """Joints that touch all the time: those of the tree, then those that close loops."""
     branches, loops = system.topology.branches, system.topology.closing
-    found = [
+    joints = [
         PermanentJoint(branch.name, system.links[i].joint, i, None)
         for i, branch in enumerate(branches)
     ]
-    found += [PermanentJoint(name, system.closing[i], None, i) for i, name in enumerate(loops)]
-    return tuple(held for held in found if isinstance(held.joint, AbstractRubbingJoint))
+    joints += [PermanentJoint(name, system.closing[i], None, i) for i, name in enumerate(loops)]
+    return tuple(joint for joint in joints if isinstance(joint.joint, AbstractRubbingJoint))
 
 
-def placed(held: tuple[PermanentJoint, ...]) -> tuple[slice, ...]:
+def placed(joints: tuple[PermanentJoint, ...]) -> tuple[slice, ...]:
     """Where the friction and the sliding speeds of each joint lie among those of all."""
     out, start = [], 0
-    for one in held:
+    for one in joints:
         out.append(slice(start, start + one.joint.components))
         start += one.joint.components
     return tuple(out)
 
 
-def own_part(values: Any, place: slice) -> Any:
+def joint_part(values: Any, place: slice) -> Any:
     """A joint's own among the values of all: one number, of a ball three."""
     if place.stop - place.start == 1:
         return values[place.start]
@@ -93,57 +93,57 @@ def slid(joint: AbstractRubbingJoint, slip: Any, place: sp.Vec, centre: sp.Vec =
     return sp.norm(sp.minus(surface, sp.scale(sp.dot(surface, normal), normal)))
 
 
-def _turn(system: System, motions: tuple, held: PermanentJoint) -> sp.Mat:
+def _turn(system: System, motions: tuple, joint: PermanentJoint) -> sp.Mat:
     """From the speeds of a ball of the tree to its angular velocity in the parent marker's axes."""
-    if system.topology.branches[held.link].reversed:
+    if system.topology.branches[joint.link].reversed:
         return tuple(tuple(sp.neg(x) for x in row) for row in sp.IDENTITY)
-    return joint_pose(system, motions, held).rotation
+    return joint_pose(system, motions, joint).rotation
 
 
-def joint_pose(system: System, motions: tuple, held: PermanentJoint) -> Pose:
+def joint_pose(system: System, motions: tuple, joint: PermanentJoint) -> Pose:
     """Pose of the outer marker of a joint of the tree in the inner one."""
-    return system.links[held.link].base.inverse().after(motions[held.link].relative)
+    return system.links[joint.link].base.inverse().after(motions[joint.link].relative)
 
 
 def sliding_directions(
-    system: System, motions: tuple, held: PermanentJoint
+    system: System, motions: tuple, pair: PermanentJoint
 ) -> tuple[Direction, ...]:
     """Those of the components of a joint's friction [N]: they move at its sliding speed [m/s], of a
     ball that of its surface by the angular velocity in the parent marker's axes."""
-    joint, link, name = held.joint, held.link, held.name
-    if held.loop is not None:
-        closure = system.closures[held.loop]
+    joint, link, name = pair.joint, pair.link, pair.name
+    if pair.loop is not None:
+        closure = system.closures[pair.loop]
         pose = kinematics.relative_motion(closure, motions)[1]
         units: Any = (1,) if joint.components == 1 else sp.IDENTITY
         wrenches = [Wrench(*joint.friction_wrench(unit)) for unit in units]
         return tuple(Direction((OnClosure(closure, pose, each, name),)) for each in wrenches)
     if joint.components == 1:
         return (Direction((OnLink(link, joint.arm),)),)
-    turn = _turn(system, motions, held)
+    turn = _turn(system, motions, pair)
     parts = [[OnLink(link, sp.mul(joint.arm, x), j) for j, x in enumerate(row)] for row in turn]
     return tuple(Direction(tuple(each)) for each in parts)
 
 
-def sliding_rates(system: System, motions: tuple, held: PermanentJoint) -> tuple[LinearRate, ...]:
+def sliding_rates(system: System, motions: tuple, joint: PermanentJoint) -> tuple[LinearRate, ...]:
     """Components of a joint's sliding speed [m/s]."""
-    directions = sliding_directions(system, motions, held)
+    directions = sliding_directions(system, motions, joint)
     return tuple(each.linear_rate(system, motions) for each in directions)
 
 
-def sliding_speeds(system: System, motions: tuple, held: PermanentJoint) -> list:
+def sliding_speeds(system: System, motions: tuple, joint: PermanentJoint) -> list:
     """Components of a joint's sliding speed [m/s] as the links move."""
-    return [each.rate(motions) for each in sliding_directions(system, motions, held)]
+    return [each.rate(motions) for each in sliding_directions(system, motions, joint)]
 
 
 def with_friction(system: System, forces: Forces, friction: Any) -> Forces:
     """The forces, with friction [N] added in each joint that touches, in the order of
     `touching`."""
     rows, joints = [], touching(system)
-    for held, place in zip(joints, placed(joints), strict=True):
+    for joint, place in zip(joints, placed(joints), strict=True):
         # What friction does to a joint that a drive moves, the drive takes.
-        directions = () if held.driven else sliding_directions(system, forces.motions, held)
+        directions = () if joint.driven else sliding_directions(system, forces.motions, joint)
         for k, direction in enumerate(directions, place.start):
-            rows.append(Row(held.name, direction, friction[k]))
+            rows.append(Row(joint.name, direction, friction[k]))
     return with_rows(forces, rows)
 
 
@@ -189,16 +189,16 @@ def friction_response(
 ) -> FrictionResponse:
     """How the mechanism answers friction [N] in its touching joints, then forces of `loads` along
     their rows, at coordinates `q`."""
-    held = touching(model.system)
-    count = sum(one.joint.components for one in held)
+    joints = touching(model.system)
+    count = sum(one.joint.components for one in joints)
     rest = jnp.zeros(count + len(loads.rates))
 
     def answer(friction):
         acting = with_friction(model.system, forces, friction)
-        given = loads.by_load(model.system, [friction[count + i] for i in range(len(loads.rates))])
-        acting = with_loads(model.system, acting, given)
+        sums = loads.by_load(model.system, [friction[count + i] for i in range(len(loads.rates))])
+        acting = with_loads(model.system, acting, sums)
         solution = dynamics.forward_dynamics(model.system, acting, model.stabilisation)
-        return sp.dense(answer_to(model.system, acting, q, held, solution))
+        return sp.dense(answer_to(model.system, acting, q, joints, solution))
 
     without, push = jax.linearize(answer, rest)
     return FrictionResponse(without, [push(rest.at[k].set(1.0)) for k in range(len(rest))])
@@ -213,34 +213,34 @@ def answer_to(
     wrenches = dynamics.joint_wrenches(system, acting, solution)
     closing = acting.rows[len(forces.rows) :]
     reactions = tuple(
-        Reaction(*wrench_in_joint([row for row in closing if row.owner == held.name], held.name))
-        if held.link is None
-        else reaction_of_link(system, held, forces.motions, q, wrenches[held.link])
-        for held in touching_joints
+        Reaction(*wrench_in_joint([row for row in closing if row.owner == joint.name], joint.name))
+        if joint.link is None
+        else reaction_of_link(system, joint, forces.motions, q, wrenches[joint.link])
+        for joint in touching_joints
     )
-    accelerations = sp.stack([a for own in solution.accelerations for a in own])
+    accelerations = sp.stack([a for part in solution.accelerations for a in part])
     return Answer(accelerations, solution.multipliers, reactions)
 
 
-def reaction_of_link(system, held, motions, q, wrench) -> Reaction:
+def reaction_of_link(system, joint, motions, q, wrench) -> Reaction:
     """From the wrench that a link receives to the reaction on the connection's child in the parent
     marker's axes.
     """
-    branch = system.topology.branches[held.link]
-    if held.driven:
-        pose = joint_pose(system, motions, held)
+    branch = system.topology.branches[joint.link]
+    if joint.driven:
+        pose = joint_pose(system, motions, joint)
     else:
-        pose = system.links[held.link].joint.motion(q[held.link])
-    return reaction_through(pose, branch.reversed, wrench, held.joint.reversal)
+        pose = system.links[joint.link].joint.motion(q[joint.link])
+    return reaction_through(pose, branch.reversed, wrench, joint.joint.reversal)
 
 
 def reaction_through(
-    pose: Pose, turned_round: bool, wrench: Wrench, turn: sp.Mat = FLIP
+    pose: Pose, is_reversed: bool, wrench: Wrench, turn: sp.Mat = FLIP
 ) -> Reaction:
     """Reaction on a connection's child, from the wrench that a link receives through its joint and
-    the joint's pose; `turned_round`: the tree goes through it from its child to its parent, both
+    the joint's pose; `is_reversed`: the tree goes through it from its child to its parent, both
     markers turned by `turn`."""
-    if not turned_round:
+    if not is_reversed:
         return Reaction(
             sp.apply(pose.rotation, wrench.force), sp.apply(pose.rotation, wrench.torque)
         )
@@ -258,34 +258,34 @@ def check_unique(system: System) -> None:
     Source: Wojtyra 2017, Multibody Syst. Dyn. 39, 337, doi:10.1007/s11044-016-9535-6.
     """
     redundancy = system.topology.redundancy
-    for held in touching(system):
-        rubs = held.joint.friction is not None and held.joint.follows_reaction
-        if redundancy is not None and rubs and held.name in redundancy.joints:
+    for joint in touching(system):
+        rubs = joint.joint.friction is not None and joint.joint.follows_reaction
+        if redundancy is not None and rubs and joint.name in redundancy.joints:
             raise ReactionNotUnique(
-                f'friction in joint "{held.name}" follows its reaction, which is not unique: the '
+                f'friction in joint "{joint.name}" follows its reaction, which is not unique: the '
                 f"loops are {redundancy} Leave its friction out, give another joint of this loop "
                 "more freedom, or take a compliant integrator such as ImplicitStep."
             )
 
 
 def reactions_without_motion(
-    system: System, motions: tuple, q: tuple, held: tuple[PermanentJoint, ...], in_space: bool
+    system: System, motions: tuple, q: tuple, joints: tuple[PermanentJoint, ...], in_space: bool
 ) -> list[tuple[Reaction, ...]]:
     """For each row of a loop that no motion changes: the reactions of joints that touch to the
     force 1 [N, N m] in it, which is in equilibrium with itself. Unless bodies are `in_space`, those
     alone that are no plain zeros: nothing else is loaded across the plane."""
     answers = []
     for k, closure in enumerate(system.closures):
-        found = constraints.constraint_rows(system, motions, closure)
-        places = [i for i in range(len(closure.rows)) if i not in found.kept]
-        for place in places if in_space else found.fixed:
-            own: tuple = tuple({place: 1.0} if j == k else {} for j in range(len(system.closures)))
-            closing, through = constraints.wrenches_of_rows(system, motions, own)
+        rows = constraints.constraint_rows(system, motions, closure)
+        places = [i for i in range(len(closure.rows)) if i not in rows.moving]
+        for place in places if in_space else rows.fixed:
+            unit: tuple = tuple({place: 1.0} if j == k else {} for j in range(len(system.closures)))
+            closing, through = constraints.wrenches_of_rows(system, motions, unit)
             reactions = tuple(
                 Reaction(*closing[one.loop])
                 if one.loop is not None
                 else reaction_of_link(system, one, motions, q, through[one.link])
-                for one in held
+                for one in joints
             )
             answers.append(reactions)
     return answers

@@ -17,7 +17,7 @@ from jaxclear.formulations.permanent_reactions import (
     REACTION,
     PermanentJoint,
     Reaction,
-    own_part,
+    joint_part,
     slid,
     sliding_speeds,
     touching,
@@ -106,7 +106,7 @@ def report(
 ) -> ContactReport:
     """How a joint carries its reaction and the components of its friction [N] at an instant."""
     joint = fixed.joint
-    ends = carrying_ends(fixed, reaction, own_part(friction, slice(0, len(friction))))
+    ends = carrying_ends(fixed, reaction, joint_part(friction, slice(0, len(friction))))
     result = sorted((c for end in ends for c in end.contacts), key=lambda c: c.number)
     slips = tuple(sliding_speeds(instant.model.system, instant.motions, fixed))
     sliding = [slid(joint, slips if len(slips) > 1 else slips[0], c.place) for c in result]

@@ -14,7 +14,7 @@ from jaxclear.formulations.model import Model
 from jaxclear.formulations.permanent_reactions import (
     Answer,
     PermanentJoint,
-    own_part,
+    joint_part,
     placed,
     slid,
     touching,
@@ -35,7 +35,7 @@ def ends_that_wear(system: System, answer: Answer, friction: Any) -> Ends:
     joints = touching(system)
     parts = zip(joints, answer.reactions, placed(joints), strict=True)
     return {
-        fixed.name: carrying_ends(fixed, reaction, own_part(friction, place))
+        fixed.name: carrying_ends(fixed, reaction, joint_part(friction, place))
         for fixed, reaction, place in parts
         if fixed.joint.maps()
     }
@@ -73,7 +73,7 @@ def wear_rates(
     carried = {}
     for fixed in touching(system):
         if fixed.name in carrying:
-            ends, depths = _sunk_in(fixed.joint, carrying[fixed.name])
+            ends, depths = _indent_ends(fixed.joint, carrying[fixed.name])
             carried[fixed.name] = (*_pose_in_gap(system, motions, q, fixed, ends), ends, depths)
     for slot in model.layout.wear:
         if slot.bearing not in at:
@@ -86,7 +86,7 @@ def wear_rates(
         )
         _, wearing = joint.maps()[slot.surface]
         moves = None if centres is None else centres.get(slot.bearing)
-        slip = own_part(slips, places[k])
+        slip = joint_part(slips, places[k])
         speed = slid(joint, slip, contact.place, sp.ZERO if moves is None else moves[end])
         volume = wearing.acceleration * wearing.law.volume_rate(
             contact.normal_force, speed, jnp.abs(contact.friction)
@@ -97,7 +97,7 @@ def wear_rates(
     return rates
 
 
-def _sunk_in(
+def _indent_ends(
     joint: AbstractRubbingJoint, ends: tuple[CarryingEnd, ...]
 ) -> tuple[tuple[CarryingEnd, ...], dict[int, Any]]:
     """The ends as far beyond the play as their forces press them, so that what leans is known, and

@@ -25,14 +25,14 @@ from jaxclear.formulations.contact_rows import (
 from jaxclear.formulations.delassus import DelassusOperator, delassus_operator
 from jaxclear.formulations.loads_over_step import (
     LoadsInStep,
-    check_found_over_steps,
+    check_solved_loads,
     forces_of_means,
-    found_over_steps,
-    held,
     load_components,
     loads_in_step,
+    solved_loads,
     with_loads,
     with_rigid_flanks,
+    with_solved_loads,
 )
 from jaxclear.formulations.model import Model, State
 from jaxclear.formulations.permanent_reactions import check_unique, touching, with_friction
@@ -92,7 +92,7 @@ class RigidContact(AbstractFormulation):
     def check(self, mechanism, integrator):
         check_friction(mechanism, integrator)
         check_play(mechanism, integrator, rigid=True)
-        check_found_over_steps(mechanism, integrator, seated=False)
+        check_solved_loads(mechanism, integrator, seated=False)
         for name in mechanism.topology.clearances:
             if mechanism.connections[name].joint.gap_load(name) is not None:
                 raise ValueError(
@@ -112,7 +112,7 @@ class RigidContact(AbstractFormulation):
         return mechanism
 
     def prepared(self, system):
-        return with_rigid_flanks(found_over_steps(system))
+        return with_rigid_flanks(with_solved_loads(system))
 
     def impulses(self, system):
         return contact_components(system) + joint_components(system) + load_components(system)
@@ -128,8 +128,8 @@ class RigidContact(AbstractFormulation):
 
     def forces(self, instant):
         forces = instant.forces(reports_of_means(instant))
-        held = touching(instant.model.system)
-        friction = [x for one in held for x in friction_of(instant, one.name)]
+        joints = touching(instant.model.system)
+        friction = [x for one in joints for x in friction_of(instant, one.name)]
         forces = with_friction(instant.model.system, forces, friction)
         return with_loads(instant.model.system, forces, forces_of_means(instant))
 
@@ -149,9 +149,9 @@ class RigidContact(AbstractFormulation):
         """
         system = model.system
         check_unique(system)
-        count = sum(own for _, own in contact_components(system))
+        count = sum(size for _, size in contact_components(system))
         count += sum(one.joint.components for one in touching(system))
-        count += sum(len(own.sides) + own.rubs for own in held(system).values())
+        count += sum(len(load.sides) + load.rubs for load in solved_loads(system).values())
         return jnp.zeros(model.layout.speeds + count + 1)
 
     def strikes(
@@ -175,15 +175,15 @@ class RigidContact(AbstractFormulation):
             which contacts strike, their depths [m], closing speeds [m/s] and which are in flight, a
             `Strikes`.
         """
-        _, _, middle, contacts, _ = _begun(model, time_step, state, last)
+        _, _, middle, contacts, _ = _set_up(model, time_step, state, last)
         free = delassus_operator(middle.free_motion, []).free
         gentle = settings._replace(gentle=True)
-        asked = demands(middle, contacts, free, time_step.length, gentle)
+        required = demands(middle, contacts, free, time_step.length, gentle)
         return Strikes(
-            asked.strikes,
+            required.strikes,
             sp.stack([contact.depth for contact in contacts]),
             sp.stack([sp.neg(contact.velocities[0].value) for contact in contacts]),
-            asked.flying,
+            required.flying,
         )
 
     def step(
@@ -209,15 +209,15 @@ class RigidContact(AbstractFormulation):
             the state at the end, an array (n,), and the same numbers of this step, an array.
         """
         h, count = time_step.length, model.layout.speeds
-        entries, handed, middle, contacts, loads = _begun(model, time_step, state, last)
+        entries, handed, middle, contacts, loads = _set_up(model, time_step, state, last)
         joints = joints_in_step(model, middle)
         rates = [rate for contact in contacts for rate in contact.velocities]
         rates += [rate for joint in joints for rate in joint.moved]
         rows = [rate.row for rate in (*rates, *(rub.sliding for rub in loads.rubs))]
-        delassus, known = delassus_operator(middle.free_motion, rows), handed[count:-1]
+        delassus, previous = delassus_operator(middle.free_motion, rows), handed[count:-1]
         contacts = with_laws_of_stops(contacts, loads, delassus, h)
         impact, rubbed = percussions_and_friction(
-            model, middle, contacts, joints, loads, delassus, known, h, settings
+            model, middle, contacts, joints, loads, delassus, previous, h, settings
         )
         v = [x + h * k + p for x, k, p in zip(middle.v, delassus.free, impact.changes, strict=True)]
         mean = [
@@ -232,33 +232,33 @@ class RigidContact(AbstractFormulation):
         after = [*end.coordinates, *v, *entries[model.layout.memory_start : remembered]]
         over = rubbed_over(model, middle, joints, rubbed, mean)
         stops = impact.by_contact[len(impact.by_contact) - len(loads.stops) :]
-        forces = [*(sp.mul(1 / h, own[0]) for own in stops), *rubbed.loads]
-        given = loads.by_load(model.system, forces), loads.lost(forces, middle.change_to(mean))
+        forces = [*(sp.mul(1 / h, row[0]) for row in stops), *rubbed.loads]
+        by_loads = loads.by_load(model.system, forces), loads.loss(forces, middle.change_to(mean))
         passive = _passive(
-            model, time_step, middle, delassus, impact, mean, end, rubbed.friction, over, given
+            model, time_step, middle, delassus, impact, mean, end, rubbed.friction, over, by_loads
         )
         after += [x + change for x, change in zip(entries[len(after) :], passive, strict=True)]
-        flat = [part for own in impact.by_contact for part in own]
+        flat = [part for row in impact.by_contact for part in row]
         flat += [h * x for x in (*rubbed.friction, *rubbed.loads)]
         residual = jnp.maximum(handed[-1], impact.residual)
         ahead = _with_springs(contacts, delassus, impact, h)
         return sp.stack(after), sp.stack([*ahead, *flat, residual])
 
 
-def _begun(model: Model, time_step: TimeStep, state: State, last: Float[Array, " h"]) -> tuple:
+def _set_up(model: Model, time_step: TimeStep, state: State, last: Float[Array, " h"]) -> tuple:
     """(entries of the state, what the last step has handed on, the middle of the step, contacts
     there, sides of stops behind them, and the loads whose force the step finds)."""
     entries, handed = model.entries(state), [last[i] for i in range(len(last))]
     count = model.layout.speeds
     middle = middle_of_step(model, time_step, entries, handed[:count])
-    names = [name for name, own in model.system.bearings.items() for _ in own.contact_laws]
+    names = [name for name, b in model.system.bearings.items() for _ in b.contact_laws]
     contacts = unilateral_contacts(middle.free_motion.contacts, names, handed[count:-1])
     loads = LoadsInStep((), ())
-    if held(model.system):
+    if solved_loads(model.system):
         forces = middle.free_motion.forces
         at = forces.motions, time_step.middle, forces.followed
         loads = loads_in_step(model.system, *at)
-        first = count + sum(own for _, own in contact_components(model.system))
+        first = count + sum(size for _, size in contact_components(model.system))
         contacts += stops_as_contacts(loads, handed[first:])
     return entries, handed, middle, contacts, loads
 
@@ -266,20 +266,20 @@ def _begun(model: Model, time_step: TimeStep, state: State, last: Float[Array, "
 def _with_springs(contacts: list, delassus: DelassusOperator, impact: Percussions, h: Any) -> list:
     """The accelerations by what acts all the time: without percussions, with the stops that give
     way in the step."""
-    found = list(delassus.free)
+    result = list(delassus.free)
     for row, number, spring in springs_of(contacts):
         force = jnp.where(spring.acts, impact.by_contact[number][0] / h, 0.0)
         moved = delassus.responses[row][0]
-        found = [sp.add(x, sp.mul(force, a)) for x, a in zip(found, moved, strict=True)]
-    return found
+        result = [sp.add(x, sp.mul(force, a)) for x, a in zip(result, moved, strict=True)]
+    return result
 
 
 def check_friction(mechanism: Mechanism, integrator: str) -> None:
     """Raises `ValueError` for friction that does not say which coefficients it regularises."""
     laws = [
-        (name, own.friction)
+        (name, law.friction)
         for name in mechanism.topology.clearances
-        for own in mechanism.connections[name].joint.contact_laws()
+        for law in mechanism.connections[name].joint.contact_laws()
     ]
     laws += [(name, joint.friction) for name, joint in rubbing_in(mechanism.connections).items()]
     for name, law in laws:
@@ -300,18 +300,18 @@ def _passive(
     end: Projected,
     friction: list,
     rubbed: tuple[Passive, list],
-    given: tuple[dict[str, Any], Any],
+    by_loads: tuple[dict[str, Any], Any],
 ) -> list:
     """Changes of what only follows the motion: angles, worn volumes, impulses, energies; by
-    `friction` of joints, what is `rubbed` by it, and what is `given` by loads whose force the step
-    finds: forces [N m, N] by load, and the power [W] that they take."""
+    `friction` of joints, what is `rubbed` by it, and `by_loads`, the forces [N m, N] by load that
+    the step solves for with the power [W] that they take."""
     system, layout, h = model.system, model.layout, time_step.length
     free_motion = middle.free_motion
     by_contact = impact.by_contact[: len(free_motion.contacts)]
-    forces = [tuple(sp.mul(1 / h, part) for part in own) for own in by_contact]
-    pressing = [part for own in forces for part in own]
+    forces = [tuple(sp.mul(1 / h, part) for part in contact) for contact in by_contact]
+    pressing = [part for contact in forces for part in contact]
     passive, by_joint = rubbed
-    by_load, lost = given
+    by_load, loss = by_loads
     pressing += [*by_joint, *by_load.values()]
     acting = free_motion.forces
     if layout.wear or layout.energies:
@@ -338,7 +338,7 @@ def _passive(
         rates[place] = sp.sub(rates[place], end.energy)
     if layout.energies:
         place = first + layout.energies.index("damping_loss")
-        rates[place] = sp.add(rates[place], sp.mul(h, lost))
+        rates[place] = sp.add(rates[place], sp.mul(h, loss))
     return rates
 
 

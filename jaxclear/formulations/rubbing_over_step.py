@@ -42,7 +42,7 @@ class JointOverStep(NamedTuple):
     directions among these components in which friction moves it, the `rates` along these, what it
     carried last [N], and after how much of the step its friction is taken [s]."""
 
-    held: PermanentJoint
+    pair: PermanentJoint
     slips: tuple[LinearRate, ...]
     directions: tuple[tuple, ...]
     rates: tuple[LinearRate, ...]
@@ -92,7 +92,7 @@ def _taken_at(joint: PermanentJoint, load: Any, lightnesses: list, averaging: Av
 
 def damping(joint: JointOverStep, rates: tuple) -> Any:
     """Friction over the sliding speed [N s/m] at the speeds along the joint's rows."""
-    return _share(joint.held, rates) * joint.load
+    return _share(joint.pair, rates) * joint.load
 
 
 def _share(joint: PermanentJoint, rates: Any) -> Any:
@@ -106,7 +106,7 @@ def friction(joints: tuple[JointOverStep, ...], forces: list[tuple], change: lis
     has the say that of the mean speeds, a `change` from those in the middle."""
     out: list[Any] = []
     for joint, force in zip(joints, forces, strict=True):
-        fixed = joint.held
+        fixed = joint.pair
         if joint.directions:
             out += [sp.dot(force, parts) for parts in zip(*joint.directions, strict=True)]
         elif fixed.joint.friction is None:

@@ -10,8 +10,8 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from jaxclear.complementarity import FrictionContact
+from jaxclear.complementarity.contact_states import with_state_derivatives
 from jaxclear.complementarity.joint_friction import across
-from jaxclear.complementarity.kept_states import with_kept_states
 from jaxclear.components.clearance import CarryingEnd, carried_load
 from jaxclear.formulations.contact_rows import (
     MiddleOfStep,
@@ -43,7 +43,7 @@ from jaxclear.formulations.unilateral import (
     UnilateralContact,
     demands,
     first_guess,
-    in_own_directions,
+    in_joint_directions,
 )
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import safe_divide
@@ -56,20 +56,20 @@ class JointInStep(NamedTuple):
     """A joint that touches all the time, in a step: how it slides (`slips` by component), how fast
     it does as the step begins [m/s], and friction's largest share of its load (None without)."""
 
-    held: PermanentJoint
+    pair: PermanentJoint
     slips: tuple[LinearRate, ...]
-    begun: tuple
+    speeds: tuple
     share: Any
 
     @property
     def moved(self) -> tuple[LinearRate, ...]:
         """The components in which friction moves it."""
-        return () if self.share is None or self.held.driven else self.slips
+        return () if self.share is None or self.pair.driven else self.slips
 
     def ends(self, reaction: Reaction) -> tuple[CarryingEnd, ...]:
         """Where it carries a reaction."""
-        count = self.held.joint.components
-        return self.held.joint.carrying_ends(*reaction, 0.0 if count == 1 else (0.0,) * count)
+        count = self.pair.joint.components
+        return self.pair.joint.carrying_ends(*reaction, 0.0 if count == 1 else (0.0,) * count)
 
 
 class Search(NamedTuple):
@@ -81,7 +81,7 @@ class Search(NamedTuple):
 
     joints: list[JointInStep]
     numbers: list[int]
-    asked: ContactDemands | None
+    required: ContactDemands | None
     matrix: list[list]
     free: list
     softest: list
@@ -92,7 +92,7 @@ class Search(NamedTuple):
     @property
     def first(self) -> int:
         """How many rows the contacts have."""
-        return 0 if self.asked is None else sum(self.asked.sizes)
+        return 0 if self.required is None else sum(self.required.sizes)
 
 
 def as_reactions(numbers: Array) -> tuple[Reaction, ...]:
@@ -109,26 +109,26 @@ def searched(
     h = search.h
     if not search.joints:
         problem, guess, back = _problem(search, as_reactions(respond(start / h)), start)
-        found = settings.solver().iterate(problem, guess)
-        return back(with_kept_states(problem, found.z)), found.residual
+        out = settings.solver().iterate(problem, guess)
+        return back(with_state_derivatives(problem, out.z)), out.residual
 
     def improve(carry):
         z, numbers, _, sweeps = carry
-        met = as_reactions(numbers)
-        problem, guess, back = _problem(search, met, z)
-        found = settings.solver().iterate(problem, guess, sweep=True)
-        z = back(found.z)
+        old = as_reactions(numbers)
+        problem, guess, back = _problem(search, old, z)
+        out = settings.solver().iterate(problem, guess, sweep=True)
+        z = back(out.z)
         numbers = respond(z / h)
-        left = jnp.maximum(found.residual, _unsettled(search, met, as_reactions(numbers), problem))
-        return z, numbers, left, sweeps + jnp.maximum(found.sweeps, 1)
+        residual = jnp.maximum(out.residual, _residual(search, old, as_reactions(numbers), problem))
+        return z, numbers, residual, sweeps + jnp.maximum(out.sweeps, 1)
 
     def unfinished(carry):
-        _, _, left, sweeps = carry
-        return (left > settings.tolerance) & (sweeps < settings.max_sweeps)
+        _, _, residual, sweeps = carry
+        return (residual > settings.tolerance) & (sweeps < settings.max_sweeps)
 
     first = (start, respond(start / h), jnp.asarray(jnp.inf), jnp.zeros((), int))
-    z, _, left, _ = jax.lax.while_loop(unfinished, improve, first)
-    return z, left
+    z, _, residual, _ = jax.lax.while_loop(unfinished, improve, first)
+    return z, residual
 
 
 class Loaded(NamedTuple):
@@ -149,82 +149,83 @@ class Loaded(NamedTuple):
         return [{}, *({self.place + i: x for i, x in enumerate(axis)} for axis in self.axes)]
 
 
-def _loaded(search: Search, met: tuple[Reaction, ...]) -> list[Loaded]:
+def _loaded(search: Search, reactions: tuple[Reaction, ...]) -> list[Loaded]:
     """The joints that friction moves under these reactions."""
-    found, place = [], search.first
+    loaded, place = [], search.first
     each = zip(search.joints, search.numbers, search.softest, strict=True)
     for joint, number, softest in each:
-        load, force = search.h * carried_load(joint.ends(met[number])), met[number].force
+        reaction = reactions[number]
+        load, force = search.h * carried_load(joint.ends(reaction)), reaction.force
         axes: tuple = ((1,),)
         if len(joint.moved) > 1:
             size = sp.norm(force)
             axes = across(tuple(safe_divide(x, size) for x in force))
-        found.append(Loaded(len(joint.moved), joint.share, load, axes, place, softest))
+        loaded.append(Loaded(len(joint.moved), joint.share, load, axes, place, softest))
         place += len(joint.moved)
     for k, rub in enumerate(search.rubs):
-        found.append(Loaded(1, 1.0, search.h * rub.bound, ((1,),), place + k, 0.0))
-    return found
+        loaded.append(Loaded(1, 1.0, search.h * rub.bound, ((1,),), place + k, 0.0))
+    return loaded
 
 
 def _problem(
-    search: Search, met: tuple[Reaction, ...], z: Array
+    search: Search, reactions: tuple[Reaction, ...], z: Array
 ) -> tuple[FrictionContact, Array, Callable]:
     """(the problem with the joints under these reactions, where to start in its unknowns, how
     impulses along all rows follow from these)."""
-    first, asked, joints = search.first, search.asked, _loaded(search, met)
+    first, required, joints = search.first, search.required, _loaded(search, reactions)
     unknowns: list[dict] = [{i: 1} for i in range(first)]
-    for own in joints:
-        unknowns += own.unknowns()
+    for joint in joints:
+        unknowns += joint.unknowns()
     # How the rate along one combination of rows answers a unit force along another.
     answer = lambda a, b: sp.total(
         sp.mul(sp.mul(x, y), search.matrix[i][j]) for i, x in a.items() for j, y in b.items()
     )
     rows = [[answer(a, b) for b in unknowns] for a in unknowns]
-    lifted, mu, sizes, closed = ([], [], (), ()) if asked is None else asked[:4]
+    lifted, mu, sizes, closed = ([], [], (), ()) if required is None else required[:4]
     lifted, mu, guess, k = [*lifted], [*mu], [z[i] for i in range(first)], first
-    for own in joints:
-        count = len(own.axes)
-        place = range(own.place, own.place + own.rows)
+    for joint in joints:
+        count = len(joint.axes)
+        place = range(joint.place, joint.place + joint.rows)
         for i in range(k + 1, k + 1 + count):
-            rows[i][i] = jnp.maximum(rows[i][i], own.softest)
+            rows[i][i] = jnp.maximum(rows[i][i], joint.softest)
         rows[k][k] = sp.total(rows[i][i] for i in range(k + 1, k + 1 + count))
         free = [search.free[i - first] for i in place]
-        lifted += [-rows[k][k] * own.load, *(sp.dot(axis, free) for axis in own.axes)]
-        guess += [own.load, *(sp.dot(axis, [z[i] for i in place]) for axis in own.axes)]
-        mu, sizes, k = [*mu, own.share], (*sizes, 1 + count), k + 1 + count
+        lifted += [-rows[k][k] * joint.load, *(sp.dot(axis, free) for axis in joint.axes)]
+        guess += [joint.load, *(sp.dot(axis, [z[i] for i in place]) for axis in joint.axes)]
+        mu, sizes, k = [*mu, joint.share], (*sizes, 1 + count), k + 1 + count
     active = jnp.asarray(closed, bool)
     if joints:
         active = jnp.concatenate([active, jnp.ones(len(joints), bool)])
     for i, contact, spring in search.springs:
         # The row of a percussion that is known: only itself, moved to where it is 0.
         alone = [rows[i][i] if j == i else 0.0 for j in range(len(rows))]
-        known = -rows[i][i] * search.h * spring.force
+        target = -rows[i][i] * search.h * spring.force
         rows[i] = [jnp.where(spring.acts, a, b) for a, b in zip(alone, rows[i], strict=True)]
-        lifted[i] = jnp.where(spring.acts, known, lifted[i])
+        lifted[i] = jnp.where(spring.acts, target, lifted[i])
         active = active.at[contact].set(active[contact] | spring.acts)
     problem = FrictionContact(
         [sp.stack(row) for row in rows], sp.stack(lifted), sp.stack(mu), sizes, active
     )
 
-    def back(found):
+    def back(solution):
         out: list[Any] = [0] * len(search.matrix)
         for i, weights in enumerate(unknowns):
             for j, weight in weights.items():
-                out[j] = sp.add(out[j], sp.mul(weight, found[i]))
+                out[j] = sp.add(out[j], sp.mul(weight, solution[i]))
         return sp.stack(out)
 
     return problem, sp.stack(guess), back
 
 
-def _unsettled(
-    search: Search, met: tuple[Reaction, ...], now: tuple[Reaction, ...], problem: FrictionContact
+def _residual(
+    search: Search, old: tuple[Reaction, ...], now: tuple[Reaction, ...], problem: FrictionContact
 ) -> Any:
     """What a turn's change of the carried forces does to the sliding speeds by friction, at the
     most, relative to the largest velocity."""
     largest, k = jnp.max(jnp.abs(problem.free_velocity)), search.first
     moved: list[Any] = []
     for joint, number in zip(search.joints, search.numbers, strict=True):
-        ends = zip(joint.ends(met[number]), joint.ends(now[number]), strict=True)
+        ends = zip(joint.ends(old[number]), joint.ends(now[number]), strict=True)
         change = sp.total(sp.norm(sp.minus(b.force, a.force)) for a, b in ends)
         moved.append(search.h * joint.share * change * problem.delassus[k][k])
         k += 1 + (1 if len(joint.moved) == 1 else 2)
@@ -243,15 +244,15 @@ class Rubbed(NamedTuple):
 def joints_in_step(model: Model, middle: MiddleOfStep) -> list[JointInStep]:
     """The joints that touch all the time, as a step begins with them."""
     system, motions = model.system, middle.free_motion.forces.motions
-    found, back = [], middle.change_to(middle.v)
-    for held in touching(system):
-        slips, law = sliding_rates(system, motions, held), None
-        begun = tuple(slip.at(back) for slip in slips)
-        if held.joint.friction is not None:
-            law = held.joint.friction.coulomb()
-        share = None if law is None else held.joint.friction_ratio(law.bound(sp.norm(begun)))
-        found.append(JointInStep(held, slips, begun, share))
-    return found
+    result, back = [], middle.change_to(middle.v)
+    for pair in touching(system):
+        slips, law = sliding_rates(system, motions, pair), None
+        speeds = tuple(slip.at(back) for slip in slips)
+        if pair.joint.friction is not None:
+            law = pair.joint.friction.coulomb()
+        share = None if law is None else pair.joint.friction_ratio(law.bound(sp.norm(speeds)))
+        result.append(JointInStep(pair, slips, speeds, share))
+    return result
 
 
 def percussions_and_friction(
@@ -269,34 +270,34 @@ def percussions_and_friction(
     that rub; searched from the `last` ones: percussions of contacts in their own directions, then
     friction of every component of every joint, then of every load."""
     respond = _reactions(model, middle, contacts, joints, loads, delassus)
-    own = sum(1 + len(contact.shares) for contact in contacts)
-    counts = [*(joint.held.joint.components for joint in joints), len(loads.rubs)]
-    *rubs, before = split(last[own:], counts)
-    kept = [x for joint, part in zip(joints, rubs, strict=True) if joint.moved for x in part]
-    kept += before
-    start = [*first_guess(contacts, last[:own]), *([sp.stack(kept)] if kept else [])]
+    count = sum(1 + len(contact.shares) for contact in contacts)
+    counts = [*(joint.pair.joint.components for joint in joints), len(loads.rubs)]
+    *rubs, before = split(last[count:], counts)
+    previous = [x for joint, part in zip(joints, rubs, strict=True) if joint.moved for x in part]
+    previous += before
+    start = [*first_guess(contacts, last[:count]), *([sp.stack(previous)] if previous else [])]
     flat, residual = [], 0.0
     if start:
         search = _search(middle, contacts, joints, loads, delassus, h, settings)
-        found, residual = searched(search, respond, jnp.concatenate(start), settings)
-        flat = [found[i] for i in range(len(delassus.rows))]
+        impulses, residual = searched(search, respond, jnp.concatenate(start), settings)
+        flat = [impulses[i] for i in range(len(delassus.rows))]
     touching_at = sum(len(contact.velocities) for contact in contacts)
-    by_contact = in_own_directions(contacts, flat[:touching_at])
-    met = as_reactions(respond(sp.stack([x / h for x in flat]) if flat else jnp.zeros(0)))
+    by_contact = in_joint_directions(contacts, flat[:touching_at])
+    reactions = as_reactions(respond(sp.stack([x / h for x in flat]) if flat else jnp.zeros(0)))
     moved = [x / h for x in flat[touching_at:]]
     free = len(moved) - len(loads.rubs)
-    rubbed = Rubbed(_friction(joints, met, moved[:free]), met, moved[free:])
+    rubbed = Rubbed(_friction(joints, reactions, moved[:free]), reactions, moved[free:])
     return Percussions(by_contact, *_caused(delassus, flat), residual), rubbed
 
 
 def springs_of(contacts: list[UnilateralContact]) -> tuple[tuple[int, int, Spring], ...]:
     """(row, number, spring) of the contacts that may give way."""
-    found, row = [], 0
+    result, row = [], 0
     for k, contact in enumerate(contacts):
         if contact.spring is not None:
-            found.append((row, k, contact.spring))
+            result.append((row, k, contact.spring))
         row += len(contact.velocities)
-    return tuple(found)
+    return tuple(result)
 
 
 def rubbed_over(
@@ -311,8 +312,8 @@ def rubbed_over(
     answer = Answer((), (), rubbed.reactions)
     passive = passive_of(model, forces, q, answer, friction, slips)
     each = zip(rubbed.reactions, placed(touching(system)), passive.pressing, strict=True)
-    acting = [[*met.force, *met.torque, *friction[own], pressed] for met, own, pressed in each]
-    return passive._replace(pressing=()), [x for own in acting for x in own]
+    acting = [[*r.force, *r.torque, *friction[part], pressed] for r, part, pressed in each]
+    return passive._replace(pressing=()), [x for part in acting for x in part]
 
 
 def _caused(delassus: DelassusOperator, flat: list) -> tuple[list, tuple]:
@@ -322,19 +323,19 @@ def _caused(delassus: DelassusOperator, flat: list) -> tuple[list, tuple]:
     return [0] * len(delassus.free), (0,) * len(delassus.multipliers)
 
 
-def _friction(joints: list[JointInStep], met: tuple[Reaction, ...], moved: list) -> list:
+def _friction(joints: list[JointInStep], reactions: tuple[Reaction, ...], moved: list) -> list:
     """Friction [N] of every component of every joint; `moved`: of those that it moves. A joint that
     a drive moves is rubbed as its load asks."""
-    own = iter(split(moved, [len(joint.moved) for joint in joints]))
+    parts = iter(split(moved, [len(joint.moved) for joint in joints]))
     out: list[Any] = []
-    for joint, reaction, part in zip(joints, met, own, strict=True):
+    for joint, reaction, part in zip(joints, reactions, parts, strict=True):
         if joint.share is None:
-            out += [0.0] * joint.held.joint.components
+            out += [0.0] * joint.pair.joint.components
         elif joint.moved:
             out += part
         else:
             load = joint.share * carried_load(joint.ends(reaction))
-            out += [-load * jnp.sign(x) for x in joint.begun]
+            out += [-load * jnp.sign(x) for x in joint.speeds]
     return out
 
 
@@ -350,7 +351,7 @@ def _reactions(
     linear, so unit forces tell it once a step."""
     if not joints:
         return lambda forces: jnp.zeros(0)
-    system, now, held = model.system, middle.free_motion, touching(model.system)
+    system, now, all_joints = model.system, middle.free_motion, touching(model.system)
     q = unpack_motion(system, [*middle.halfway, *middle.predicted])[0]
     counts = [sum(len(contact.velocities) for contact in contacts), *(len(j.moved) for j in joints)]
     counts.append(len(loads.rubs))
@@ -358,15 +359,15 @@ def _reactions(
     def under(forces):
         flat = [forces[i] for i in range(sum(counts))]
         pushed, *rubs, further = split(flat, counts)
-        by_contact = in_own_directions(contacts, list(pushed))
+        by_contact = in_joint_directions(contacts, list(pushed))
         by_contact, stops = by_contact[: len(now.contacts)], by_contact[len(now.contacts) :]
         reports = rigid_reports(system, now.poses, now.contacts, by_contact)
         acting = with_rows(now.forces, contact_rows(system, now.poses, reports))
-        none = [(0,) * joint.held.joint.components for joint in joints]
-        friction = [x for own, zero in zip(rubs, none, strict=True) for x in own or zero]
+        none = [(0,) * joint.pair.joint.components for joint in joints]
+        friction = [x for part, zero in zip(rubs, none, strict=True) for x in part or zero]
         acting = with_friction(system, acting, friction)
-        given = loads.by_load(system, [*(own[0] for own in stops), *further])
-        acting = with_loads(system, acting, given)
+        sums = loads.by_load(system, [*(part[0] for part in stops), *further])
+        acting = with_loads(system, acting, sums)
         total, multipliers = (
             [sp.add(x, y) for x, y in zip(free, caused, strict=True)]
             for free, caused in zip(
@@ -374,8 +375,8 @@ def _reactions(
             )
         )
         solution = link_accelerations(system, total, tuple(multipliers))
-        found = answer_to(system, acting, q, held, solution).reactions
-        return sp.stack([x for reaction in found for part in reaction for x in part])
+        reactions = answer_to(system, acting, q, all_joints, solution).reactions
+        return sp.stack([x for reaction in reactions for part in reaction for x in part])
 
     count = sum(counts)
     if not count:
@@ -396,7 +397,7 @@ def _search(
 ) -> Search:
     """What a step's search starts from."""
     numbers = [k for k, joint in enumerate(joints) if joint.moved]
-    asked = demands(middle, contacts, delassus.free, h, settings) if contacts else None
+    required = demands(middle, contacts, delassus.free, h, settings) if contacts else None
     ahead = middle.change_to([x + h * a for x, a in zip(middle.v, delassus.free, strict=True)])
     free = [rate.at(ahead) for k in numbers for rate in joints[k].moved]
     free += [rub.sliding.at(ahead) for rub in loads.rubs]
@@ -408,5 +409,5 @@ def _search(
         for k in numbers
     ]
     rubbing = [joints[k] for k in numbers]
-    known = delassus.matrix(), free, softest, h, loads.rubs, springs_of(contacts)
-    return Search(rubbing, numbers, asked, *known)
+    rest = delassus.matrix(), free, softest, h, loads.rubs, springs_of(contacts)
+    return Search(rubbing, numbers, required, *rest)

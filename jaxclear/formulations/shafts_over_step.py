@@ -34,8 +34,8 @@ class ShaftOverStep(NamedTuple):
             self.compliance, CouplingTwist(self.twist, rate), self.end, self.length
         )
         rate = jnp.asarray(rate, float)
-        found, slope = jax.jvp(torque, (rate,), (jnp.ones_like(rate),))
-        return -found, jnp.maximum(slope, 0.0)
+        value, slope = jax.jvp(torque, (rate,), (jnp.ones_like(rate),))
+        return -value, jnp.maximum(slope, 0.0)
 
 
 def shafts_over_step(
@@ -44,16 +44,16 @@ def shafts_over_step(
     """The couplings with stiffness over a step of this length [s], and the free motion without
     them; `back`: by how much the speeds at its start differ from those in its middle."""
     system, forces = model.system, free_motion.forces
-    found, right = [], list(free_motion.right)
-    for name, own in system.transmissions.items():
+    result, right = [], list(free_motion.right)
+    for name, train in system.transmissions.items():
         pressing = forces.pressing[name]
-        known = forces.followed.states.get(name)
-        end = known[0] if own.has_twist and known is not None else None
-        row = transmissions.twist_direction(forces.motions, own).jacobian(system, forces.motions)
-        rate = LinearRate(pressing.twist.rate, {j: x / own.scale for j, x in row.items()})
+        states = forces.followed.states.get(name)
+        end = states[0] if train.has_twist and states is not None else None
+        row = transmissions.twist_direction(forces.motions, train).jacobian(system, forces.motions)
+        rate = LinearRate(pressing.twist.rate, {j: x / train.scale for j, x in row.items()})
         start = pressing.twist.value - 0.5 * length * rate.at(back)
-        compliance = transmissions.compliance_of(own)
-        found.append(ShaftOverStep(compliance, rate, start, end, length))
+        compliance = transmissions.compliance_of(train)
+        result.append(ShaftOverStep(compliance, rate, start, end, length))
         for j, entry in rate.row.items():
             right[j] = sp.add(right[j], sp.mul(pressing.torque, entry))
-    return tuple(found), free_motion._replace(right=tuple(right)) if found else free_motion
+    return tuple(result), free_motion._replace(right=tuple(right)) if result else free_motion

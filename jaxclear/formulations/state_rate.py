@@ -18,7 +18,7 @@ class Passive(NamedTuple):
     lost to their friction, what drives give of it, and how hard each presses [N]."""
 
     worn: Any = ()
-    lost: Any = 0
+    loss: Any = 0
     driven: Any = 0
     pressing: Any = ()
 
@@ -68,7 +68,7 @@ def passive_rates(
     if layout.energies:
         powers = dict(zip(layout.energies, dynamics.powers(system, forces, solution), strict=True))
         powers["input"] = sp.add(powers["input"], rubbing.driven)
-        powers["friction_loss"] = sp.add(powers["friction_loss"], rubbing.lost)
+        powers["friction_loss"] = sp.add(powers["friction_loss"], rubbing.loss)
         out.extend(powers.values())
     return out
 

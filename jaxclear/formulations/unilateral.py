@@ -22,7 +22,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxclear.complementarity import FrictionContact, ProjectedGaussSeidel
-from jaxclear.complementarity.kept_states import with_kept_states
+from jaxclear.complementarity.contact_states import with_state_derivatives
 from jaxclear.formulations import contact_rows
 from jaxclear.formulations.contact_rows import (
     ContactPoint,
@@ -43,7 +43,7 @@ from jaxclear.multibody.state import unpack_motion
 
 # Share of a step by which contacts of a joint may touch apart and count as touching at once: far
 # above rounding.
-AT_ONCE = 1e-6
+SIMULTANEOUS = 1e-6
 
 
 def put_off(strikes: Any, depths: Any, closing: Any, h: Any, joints: list[int]) -> Any:
@@ -55,9 +55,9 @@ def put_off(strikes: Any, depths: Any, closing: Any, h: Any, joints: list[int]) 
     """
     since = jnp.where(strikes, safe_divide(depths, closing), -jnp.inf)
     each = split([since[i] for i in range(sum(joints))], joints)
-    first = [jnp.max(jnp.stack(own)) for own in each]
+    first = [jnp.max(jnp.stack(times)) for times in each]
     firsts = [one for one, count in zip(first, joints, strict=True) for _ in range(count)]
-    return strikes & (since < sp.stack(firsts) - AT_ONCE * h)
+    return strikes & (since < sp.stack(firsts) - SIMULTANEOUS * h)
 
 
 class MoreauJeanSettings(NamedTuple):
@@ -130,13 +130,13 @@ def unilateral_contacts(
         slips = [] if friction is None else _slip_directions(point)
         velocities = [point.rates[0].times(-1)]
         velocities += [combine_rates(weights, point.rates[1:]) for weights in slips]
-        own = 0 if friction is None else len(point.rates) - 1
-        shares = [[weights[k] for weights in slips] for k in range(own)]
+        slip_count = 0 if friction is None else len(point.rates) - 1
+        shares = [[weights[k] for weights in slips] for k in range(slip_count)]
         law = point.laws.contact
         laws = law.restitution, friction
-        own_last, depth = last[first], point.gap_function.indentation
-        contacts.append(UnilateralContact(velocities, shares, *laws, joint, own_last, depth))
-        first += 1 + own
+        percussion, depth = last[first], point.gap_function.indentation
+        contacts.append(UnilateralContact(velocities, shares, *laws, joint, percussion, depth))
+        first += 1 + slip_count
     return contacts
 
 
@@ -163,16 +163,16 @@ def with_laws_of_stops(
     """The contacts, of which sides of stops are the last, with what these do in a step of length
     h [s]: the inertia along their rows tells whether the step follows their spring, and what they
     give back where it does not."""
-    found = list(contacts)
+    result = list(contacts)
     first = sum(len(contact.velocities) for contact in contacts) - len(loads.stops)
     for k, one in enumerate(loads.stops):
         if one.side.stop.restitution is not None:
             continue
-        own = len(contacts) - len(loads.stops) + k
+        place = len(contacts) - len(loads.stops) + k
         light = along(delassus.rows[first + k], delassus.responses[first + k][0])
         spring = Spring(one.followed(light, h), one.spring())
-        found[own] = found[own]._replace(restitution=one.restitution(light), spring=spring)
-    return found
+        result[place] = result[place]._replace(restitution=one.restitution(light), spring=spring)
+    return result
 
 
 def _slip_directions(point: ContactPoint) -> list[tuple]:
@@ -236,22 +236,22 @@ def demands(
         fallen = 0.5 * h * settings.gamma**2 * pressed
         ahead_of = ahead_of + jnp.where(jnp.abs(opening) < pressed, fallen, 0.0)
     closed = ahead_of >= 0
-    joints = [len(list(own)) for _, own in groupby(contact.joint for contact in contacts)]
+    joints = [len(list(group)) for _, group in groupby(contact.joint for contact in contacts)]
     if max(joints) == 1 and not settings.gentle:
         return ContactDemands(lifted, mu, sizes, closed)
     # What had a percussion in the step before does not strike, nor what loads press shut.
-    apart = sp.stack([contact.last for contact in contacts]) <= 0
-    strikes = closed & apart & (-opening > pressed)
+    unloaded = sp.stack([contact.last for contact in contacts]) <= 0
+    strikes = closed & unloaded & (-opening > pressed)
     if max(joints) > 1:
         waiting = put_off(strikes, depths, -opening, h, joints)
         strikes, closed = strikes & ~waiting, closed & ~waiting
     if settings.gentle:
-        flying = (abs(opening) > pressed) & (apart | (opening > 0))
+        flying = (abs(opening) > pressed) & (unloaded | (opening > 0))
         return ContactDemands(lifted, mu, sizes, closed & ~strikes, strikes, flying)
     return ContactDemands(lifted, mu, sizes, closed)
 
 
-def in_own_directions(contacts: list[UnilateralContact], flat: list) -> list[tuple]:
+def in_joint_directions(contacts: list[UnilateralContact], flat: list) -> list[tuple]:
     """By contact its percussions, those across the normal along the joint's own slip directions."""
     return [
         (normal, *[sp.dot(shares, slips) for shares in contact.shares])
@@ -265,9 +265,9 @@ def first_guess(contacts: list[UnilateralContact], last: list) -> list:
     """From components in the state's order to those of percussions, contact by contact."""
     counts = [1 + len(contact.shares) for contact in contacts]
     out = []
-    for contact, (normal, *own) in zip(contacts, split(last, counts), strict=True):
+    for contact, (normal, *across) in zip(contacts, split(last, counts), strict=True):
         slips = [
-            sp.dot([shares[k] for shares in contact.shares], own)
+            sp.dot([shares[k] for shares in contact.shares], across)
             for k in range(len(contact.velocities) - 1)
         ]
         out.append(sp.stack([normal, *slips]))
@@ -281,9 +281,9 @@ def _stops_beyond(
     way."""
     if not stops:
         return []
-    found = beyond_stops(model, time, end, middle.free_motion.forces.followed)
-    each = [(x, own.spring) for x, own in zip(found, stops, strict=True)]
-    return [x if own is None else jnp.where(own.acts, 0.0, x) for x, own in each]
+    depths = beyond_stops(model, time, end, middle.free_motion.forces.followed)
+    each = [(x, stop.spring) for x, stop in zip(depths, stops, strict=True)]
+    return [x if spring is None else jnp.where(spring.acts, 0.0, x) for x, spring in each]
 
 
 class Projected(NamedTuple):
@@ -318,7 +318,7 @@ def project(
         [contact.velocities[0].row for contact in contacts],
         delassus.free,
         delassus.multipliers,
-        [own[0] for own in responses],
+        [response[0] for response in responses],
     )
     change = middle.change_to(v)
     opening = sp.stack([contact.velocities[0].at(change) for contact in contacts])
@@ -326,13 +326,13 @@ def project(
     pressed = h * sp.stack(
         [positive_part(sp.neg(along(row, delassus.free))) for row in normals.rows]
     )
-    wanted = zip(pressed, opening, depths, strict=True)
+    required = zip(pressed, opening, depths, strict=True)
     problem = FrictionContact(
         [sp.stack(line) for line in normals.matrix()],
-        jnp.stack([h * (most + jnp.abs(u)) - depth for most, u, depth in wanted]),
+        jnp.stack([h * (most + jnp.abs(u)) - depth for most, u, depth in required]),
         jnp.zeros(len(contacts)),
     )
-    shifts = with_kept_states(problem, settings.solver().iterate(problem).z)
+    shifts = with_state_derivatives(problem, settings.solver().iterate(problem).z)
     if settings.striking is not None:
         shifts = jnp.where(settings.striking, jax.lax.stop_gradient(shifts), shifts)
     moved, _ = normals.under([shifts[i] for i in range(len(contacts))])

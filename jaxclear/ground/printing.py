@@ -127,7 +127,7 @@ class AbstractShown(eqx.Module):
     """What is shown in words and tables."""
 
     @abstractmethod
-    def _shown(self) -> Any:
+    def _summary(self) -> Any:
         """A text, or texts and tables in their order. The first line of a long one says what it
         is of."""
 
@@ -157,7 +157,7 @@ class AbstractShown(eqx.Module):
         return "".join(map(_in_html, self._parts()))
 
     def _parts(self) -> tuple[Any, ...]:
-        content = self._shown()
+        content = self._summary()
         return (content,) if isinstance(content, str) else tuple(content)
 
 

@@ -549,7 +549,7 @@ class AbstractQuantified(AbstractShown, metaclass=AnsweringMeta):
             outside its range.
     """
 
-    def _shown(self):
+    def _summary(self):
         return part_in_words(self)
 
     def __check_init__(self):

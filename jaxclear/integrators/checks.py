@@ -385,7 +385,7 @@ class Checks(AbstractShown):
             ]
         )
 
-    def _shown(self):
+    def _summary(self):
         if not self.named:
             return "This run had nothing to check."
         if is_traced(constant(self)):

@@ -31,8 +31,8 @@ from jaxclear.formulations.impact_speed import (
     bends,
     cubic,
     passage,
-    passed,
     summit,
+    with_path_derivative,
 )
 from jaxclear.formulations.model import Model, State
 from jaxclear.ground import sparse as sp
@@ -116,7 +116,7 @@ def noted(
     happened = closed != (after.depths >= 0)
     path = (before.depths, after.depths, length * before.rates, length * after.rates)
 
-    share = passed(path, passage(constant(path), 0.0, jnp.ones_like(before.depths)))
+    share = with_path_derivative(path, passage(constant(path), 0.0, jnp.ones_like(before.depths)))
     rate = safe_divide(cubic(path, share)[1], length)
     places = jnp.arange(events.times.shape[1], dtype=float)
     here = (places == events.counts[:, None]) & happened[:, None]

@@ -187,7 +187,7 @@ class FixedStep(AbstractIntegrator):
     Steps are shortened a little to meet the saving times. No error control: halve `step` to see the
     error. Stable up to about 1.6 / omega (rk4), half of that ("semi_implicit") and a quarter
     ("heun"), omega = sqrt(contact stiffness / mass), of the order of 1e4 rad/s in a steel bearing
-    (benchmarks/claims/stability.py, for K from 1e10 N/m^1.5 on; in softer contacts a step must not
+    (measured on a pressed journal for K from 1e10 N/m^1.5 on; in softer contacts a step must not
     cross the clearance).
 
     Impact speeds are those at the touch within a step, to the third power of the step; a force that
@@ -274,7 +274,7 @@ class FixedStep(AbstractIntegrator):
 
     @property
     def opens_loops(self):
-        # Those of order 4 open loops by 1e-13 m in steps of 0.1 ms (benchmarks/claims/drift.py).
+        # Those of order 4 open loops by 1e-13 m in steps of 0.1 ms (the four-bar in 20 s).
         return ORDERS[self.method] < max(ORDERS.values())
 
     @property

@@ -16,7 +16,7 @@ from jaxclear.ground.quantity import is_traced
 from jaxclear.ground.table import as_table
 from jaxclear.ground.wording import listed
 from jaxclear.multibody import assembly_modes, start_check
-from jaxclear.multibody.assembly import FirstFound, first_search
+from jaxclear.multibody.assembly import FirstSearch, first_search
 from jaxclear.multibody.assembly_modes import Mode
 from jaxclear.multibody.mechanism import Mechanism, rebuilt
 from jaxclear.multibody.start_constraints import at_start
@@ -85,7 +85,7 @@ class Assemblies(AbstractShown):
             columns | dict(zip(self.names, self.coordinates.T, strict=True)), units=self._units
         )
 
-    def _shown(self):
+    def _summary(self):
         many = f"{len(self)} way{'s' * (len(self) != 1)} to assemble"
         text = f"{many}, found by {self.samples} searches; there may be more."
         if not len(self):
@@ -141,7 +141,7 @@ def assemblies(
         np.array([mode.distance if mechanism.guess else 0.0 for mode in modes]),
         np.array([assembly_modes.sign(start) for start in starts]),
         np.array([assembly_modes.smallest_singular_value(start) for start in starts]),
-        np.array([mode.found for mode in modes]),
+        np.array([mode.searches for mode in modes]),
         int(samples),
     )
 
@@ -158,7 +158,7 @@ def as_guess(mechanism: Mechanism, coordinates: Any) -> dict[str, tuple[float, .
     return out
 
 
-def _modes(mechanism: Mechanism, first: FirstFound, samples: int) -> list[Mode]:
+def _modes(mechanism: Mechanism, first: FirstSearch, samples: int) -> list[Mode]:
     """The modes that searches find. Where freedoms are left each search goes to what is guessed and
     to homes first, and from there to what is guessed; of two places that small steps lead from one
     to the other the nearer is listed."""
@@ -171,13 +171,13 @@ def _modes(mechanism: Mechanism, first: FirstFound, samples: int) -> list[Mode]:
     at_homes = first_search(total, first.concentric)
     result = at_homes.modes(samples)
     if values["guess"]:
-        on = [(assembly_modes.at(mode.start.coordinates), mode.found) for mode in result]
+        on = [(assembly_modes.at(mode.start.coordinates), mode.searches) for mode in result]
         result = assembly_modes.modes(first.tree, first.search, on)
     saved: list[Mode] = []
     for mode in result:
         for i, present in enumerate(saved):
             if _leads_to(mechanism, at_homes, present, mode):
-                saved[i] = present._replace(found=present.found + mode.found)
+                saved[i] = present._replace(searches=present.searches + mode.searches)
                 break
         else:
             saved.append(mode)
@@ -190,12 +190,12 @@ def _homes(mechanism: Mechanism) -> np.ndarray:
     return np.array([x for branch in branches for x in joint_of(branch, *parts).home])
 
 
-def _leads_to(mechanism: Mechanism, at_homes: FirstFound, one: Mode, other: Mode) -> bool:
+def _leads_to(mechanism: Mechanism, at_homes: FirstSearch, one: Mode, other: Mode) -> bool:
     """Whether a search that begins at one mode and is guessed at the other lands there."""
     begin = assembly_modes.at(one.start.coordinates)
     there = as_guess(mechanism, other.start.coordinates)
     guess = {name: tuple(jnp.asarray(x) for x in there[name]) for name in at_homes.mechanism.guess}
     start, sound = at_homes.search(begin, guess)
     places = [np.asarray(result.coordinates) for result in (start, other.start)]
-    gap = np.max(np.abs(at_homes.tree.apart(*places)), initial=0.0)
+    gap = np.max(np.abs(at_homes.tree.difference(*places)), initial=0.0)
     return bool(sound) and gap <= assembly_modes.SAME

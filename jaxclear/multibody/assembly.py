@@ -31,7 +31,7 @@ from jaxclear.multibody import (
 from jaxclear.multibody.assembly_modes import Beginning, Mode, Nominal, at_guess
 from jaxclear.multibody.forces import relative_motions
 from jaxclear.multibody.mechanism import Mechanism, loosened, ungiven, with_redundancy
-from jaxclear.multibody.motors_at_start import turned
+from jaxclear.multibody.motors_at_start import with_motors
 from jaxclear.multibody.newton import Near, closed, least, nearer
 from jaxclear.multibody.start_equations import (
     JOURNAL,
@@ -146,7 +146,7 @@ def _searched(problem: Ask, q: Array, v: Array, time: Any) -> tuple[Array, Array
     # The second time for rounding only: rates are linear in the speeds.
     for _ in range(2):
         v = v - least(problem, speed_blocks(problem, q, v, time)).change
-    return turned(mechanism, problem.system, q, v, time)
+    return with_motors(mechanism, problem.system, q, v, time)
 
 
 def closest(problem: Ask, q: Array, time: Any) -> Array:
@@ -165,7 +165,7 @@ def carried_on(mechanism: Mechanism, coordinates: Array, speeds: Array, time: An
     problem = ask(bare, False)
     result = assemble_arrays(bare, False, time, (coordinates, speeds), straight=False)
     rest = stacked(problem, position_blocks(problem, coordinates, time))[1]
-    is_saved = jnp.max(jnp.abs(rest), initial=0.0) <= start_check.HELD * problem.arm
+    is_saved = jnp.max(jnp.abs(rest), initial=0.0) <= start_check.EXACT * problem.arm
     q, v = (
         jnp.where(is_saved, part, nearest)
         for part, nearest in ((coordinates, result.coordinates), (speeds, result.speeds))
@@ -183,13 +183,13 @@ def _started(problem: Ask, q: Array, v: Array, time: Any) -> Start:
     return Start(
         q,
         v,
-        {b.name: jnp.concatenate([b.left, b.fixed]) for b in closures},
+        {b.name: jnp.concatenate([b.rest, b.fixed]) for b in closures},
         dict(zip([b.name for b in closures], jacobians(problem, closures), strict=True)),
-        {b.name: b.left for b in speeds if b.kind == LOOP},
-        {b.name: b.left / b.measure for b in positions if b.kind == START},
-        {b.name: b.left / b.measure for b in speeds if b.kind == START},
+        {b.name: b.rest for b in speeds if b.kind == LOOP},
+        {b.name: b.rest / b.measure for b in positions if b.kind == START},
+        {b.name: b.rest / b.measure for b in speeds if b.kind == START},
         _depths(problem, q, v, time),
-        {b.name: b.left / b.measure for b in guess_blocks(problem, place) if b.name not in carried},
+        {b.name: b.rest / b.measure for b in guess_blocks(problem, place) if b.name not in carried},
         scaled(problem, [] if solved else positions)[0],
     )
 
@@ -248,7 +248,7 @@ def _judged(
     if begin is None:
         q = _towards_guess(problem, seed, 0.0)
     else:
-        q = jnp.where(begin.own, begin.coordinates, seed)
+        q = jnp.where(begin.is_set, begin.coordinates, seed)
         q = jnp.where(begin.led, _towards_guess(problem, q, 0.0), q)
     start = _solved(problem, q, v, 0.0)
     return Judged(start, is_sound(mechanism, start), seed, problem.arm)
@@ -285,7 +285,7 @@ def assemble(mechanism: Mechanism, concentric: bool = True) -> Start:
     return ready(with_quantities(mechanism), concentric).start
 
 
-class FirstFound(NamedTuple):
+class FirstSearch(NamedTuple):
     """A mechanism that knows which rows of its loops are redundant, the start to which its guess
     leads and whether that is sound; `sought`: the mechanism that is searched from other beginnings
     (None: there is nothing to search), `tree` its coordinates, `concentric` and `worn` as of
@@ -306,7 +306,7 @@ class FirstFound(NamedTuple):
         values = self.mechanism.topology.depend and not self.sound
         return bool(values and start_check.open_by(self.start) > 0)
 
-    def without_redundancy(self) -> "FirstFound":
+    def without_redundancy(self) -> "FirstSearch":
         """The same with all rows."""
         bare = with_redundancy(self.mechanism, None)
         return self._replace(mechanism=bare, sought=bare)
@@ -345,7 +345,7 @@ class FirstFound(NamedTuple):
         return assembly_modes.modes(self.tree, search, out)
 
 
-def first_search(mechanism: Mechanism, concentric: bool, worn: dict | None = None) -> FirstFound:
+def first_search(mechanism: Mechanism, concentric: bool, worn: dict | None = None) -> FirstSearch:
     """Where the search for a start leads from what is guessed of a mechanism with numbers."""
     bare = with_redundancy(mechanism, None)
     begin = at_guess(mechanism)
@@ -356,7 +356,7 @@ def first_search(mechanism: Mechanism, concentric: bool, worn: dict | None = Non
     # Redundant rows that motion never changes say nothing new.
     searched = values if values.topology.searched else bare
     sought = None if is_solved(bare, concentric) else searched
-    return FirstFound(values, start, sound, tree, sought, concentric, worn)
+    return FirstSearch(values, start, sound, tree, sought, concentric, worn)
 
 
 class Nearest(NamedTuple):
@@ -389,7 +389,7 @@ def nearest(mechanism: Mechanism, concentric: bool = True, worn: dict | None = N
             values = _with_redundancy(other.mechanism, result[0].start, True, 0.0, judged)
             first, start, sound = other._replace(mechanism=values[0]), *values[1:]
     text = [assembly_modes.doubt(first.mechanism, first.tree, result)] if sound else []
-    text += [first.tree.turned(mechanism, start)] if sound else []
+    text += [first.tree.turn_warning(mechanism, start)] if sound else []
     doubt = " ".join(filter(None, text))
     if doubt:
         warn(doubt)

@@ -35,11 +35,11 @@ ABOUT = 2.0
 
 
 class Beginning(NamedTuple):
-    """Coordinates at which a search begins, where they are `own`, elsewhere at the mechanism's
+    """Coordinates at which a search begins, where `is_set`, elsewhere those of the mechanism's
     guess; `led`: whether it is led first to what is guessed of other joints than those of the
     tree."""
 
-    own: Any
+    is_set: Any
     led: Any
     coordinates: Any  # (q,)
 
@@ -50,7 +50,7 @@ class Mode(NamedTuple):
 
     start: Start
     distance: float
-    found: int
+    searches: int
 
 
 class Nominal(eqx.Module):
@@ -117,7 +117,7 @@ def has_landed(tree: "Coordinates", start: Start) -> bool:
     taken as the norm of J times the root of the number of turns.
     """
     far = tree.distance(start)
-    if far <= start_check.HELD:
+    if far <= start_check.EXACT:
         return True
     rows = np.asarray(start.rows)
     if not rows.size or not np.all(np.isfinite(rows)):
@@ -130,7 +130,7 @@ def has_landed(tree: "Coordinates", start: Start) -> bool:
 
 def _rank(sizes: np.ndarray) -> int:
     """Of a matrix with these singular values."""
-    return max(int(np.sum(sizes > start_check.HELD * sizes[0])), 1)
+    return max(int(np.sum(sizes > start_check.EXACT * sizes[0])), 1)
 
 
 def smallest_singular_value(start: Start) -> float:
@@ -167,8 +167,8 @@ def modes(
             result = _with(tree, result, start, count)
 
     def rank(mode):
-        near = round(mode.distance / start_check.HELD)
-        far = tree.apart(np.asarray(mode.start.coordinates), tree.seed)
+        near = round(mode.distance / start_check.EXACT)
+        far = tree.difference(np.asarray(mode.start.coordinates), tree.seed)
         return near, float(np.linalg.norm(far))
 
     return sorted(result, key=rank)
@@ -179,14 +179,14 @@ def _with(tree: "Coordinates", result: list[Mode], start: Start, count: int) -> 
     part = Mode(tree.unwound(start), tree.distance(start), count)
     for i, mode in enumerate(result):
         if _is_one(tree, mode.start, part.start):
-            return [*result[:i], mode._replace(found=mode.found + count), *result[i + 1 :]]
+            return [*result[:i], mode._replace(searches=mode.searches + count), *result[i + 1 :]]
     return [*result, part]
 
 
 def _is_one(tree: "Coordinates", a: Start, b: Start) -> bool:
     """Whether two starts are of one mode. Of one that leaves freedoms those are told that meet what
     is guessed alike."""
-    far = tree.apart(np.asarray(a.coordinates), np.asarray(b.coordinates))
+    far = tree.difference(np.asarray(a.coordinates), np.asarray(b.coordinates))
     if np.max(np.abs(far), initial=0.0) <= SAME:
         return True
     away = tree.away(a) - tree.away(b)
@@ -199,7 +199,7 @@ def doubt(mechanism: Mechanism, tree: "Coordinates", result: list[Mode]) -> str:
     if len(result) < 2 or not mechanism.guess:
         return ""
     first, second = result[:2]
-    if second.distance >= max(ABOUT * first.distance, start_check.HELD):
+    if second.distance >= max(ABOUT * first.distance, start_check.EXACT):
         return ""
     places = [np.asarray(mode.start.coordinates) for mode in (first, second)]
     name = tree.farthest(*places)
@@ -237,7 +237,7 @@ class Coordinates:
 
     def away(self, start: Start) -> np.ndarray:
         """From all that is guessed to a start [rad, longest arms]."""
-        part = self.apart(np.asarray(start.coordinates), self.seed)[self.guessed]
+        part = self.difference(np.asarray(start.coordinates), self.seed)[self.guessed]
         return np.concatenate([part, *(np.ravel(x) for x in start.away.values())])
 
     def distance(self, start: Start) -> float:
@@ -253,7 +253,7 @@ class Coordinates:
             q = q - np.where(repeats, 2 * np.pi * turns, 0.0)
         return start._replace(coordinates=jnp.asarray(q))
 
-    def turned(self, mechanism: Mechanism, start: Start) -> str:
+    def turn_warning(self, mechanism: Mechanism, start: Start) -> str:
         """A sentence for what is guessed and met but for whole turns, which couplings count; ""
         where nothing is."""
         far = np.asarray(start.coordinates) - self.seed
@@ -272,7 +272,7 @@ class Coordinates:
 
     def farthest(self, q: np.ndarray, other: np.ndarray) -> str:
         """The joint or body, in quotes, whose coordinates tell two places apart most."""
-        spread = np.abs(self.apart(q, other))
+        spread = np.abs(self.difference(q, other))
         sizes = [np.max(spread[branch.coordinates]) for branch in self.branches]
         return f'"{self.branches[int(np.argmax(sizes))].name}"'
 
@@ -282,7 +282,7 @@ class Coordinates:
         numbers = ", ".join(f"{x:.4g}" for x in q[entry])
         return f"{name} is at {numbers if len(q[entry]) == 1 else f'({numbers})'}"
 
-    def apart(self, q: np.ndarray, other: np.ndarray) -> np.ndarray:
+    def difference(self, q: np.ndarray, other: np.ndarray) -> np.ndarray:
         """How far coordinates are from others [rad, longest arms], turns by the shorter way."""
         parts = []
         for branch, joint in zip(self.branches, self.joints, strict=True):

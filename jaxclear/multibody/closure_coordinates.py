@@ -56,10 +56,10 @@ def angles_at_start(
     """The angles [rad] of joints outside the tree, by joint: within half a turn of what `start` or
     `guess` gives for the joint, of 0 where they give nothing."""
     angles = {}
-    told = mechanism.guess | mechanism.start
+    start = mechanism.guess | mechanism.start
     for name in names:
         joint = coordinate_joint(name, mechanism.bodies, mechanism.connections)
-        near = joint.start(told[name])[0] if name in told else 0.0
+        near = joint.start(start[name])[0] if name in start else 0.0
         angles[name] = read(system, name, motions, near).position
     return angles
 
@@ -67,11 +67,11 @@ def angles_at_start(
 def states_at_start(system: System, layout: Layout, motions: tuple[Motion, ...]) -> list[Any]:
     """The states of loads and of flanks with which a run begins: shafts are relaxed."""
     loads = [x.start for _, load in coordinate_loads(system) for x in load.states()]
-    for own in system.transmissions.values():
-        if own.has_twist:
-            twist = transmissions.twist_of(motions, own)
-            loads.append(transmissions.end_at_start(own, twist))
-        loads += [0.0] * (len(own.states()) - own.has_twist)
+    for train in system.transmissions.values():
+        if train.has_twist:
+            twist = transmissions.twist_of(motions, train)
+            loads.append(transmissions.end_at_start(train, twist))
+        loads += [0.0] * (len(train.states()) - train.has_twist)
     return loads
 
 
@@ -86,8 +86,8 @@ def started(
         angles = angles_at_start(mechanism, system, layout.angles, motions)
         state = _with_angles(layout, state, angles)
     if layout.states:
-        first, found = layout.state_start, states_at_start(system, layout, motions)
-        state = state.at[first : first + len(found)].set(sp.stack(found))
+        first, values = layout.state_start, states_at_start(system, layout, motions)
+        state = state.at[first : first + len(values)].set(sp.stack(values))
     return state
 
 

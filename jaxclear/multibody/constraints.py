@@ -29,12 +29,12 @@ def sum_acceleration(motions: tuple[Motion, ...], row: CoordinateSum, second: An
     for term in row.terms:
         if term.link is not None:
             prescribed = motions[term.link].prescribed
-            own = prescribed[0] if prescribed else 0
+            driven = prescribed[0] if prescribed else 0
         else:
             pose = kinematics.relative_motion(term.closure, motions)[1]
             slopes = pose_rows.gradients(term.reading, pose)[1]
-            own = pose_rows.accelerations(term.reading, pose, slopes, *second(term.closure))[0]
-        out = sp.add(out, sp.mul(term.factor, own))
+            driven = pose_rows.accelerations(term.reading, pose, slopes, *second(term.closure))[0]
+        out = sp.add(out, sp.mul(term.factor, driven))
     return out
 
 
@@ -43,7 +43,7 @@ class ConstraintRows(NamedTuple):
     Jacobian (by speed index). `fixed`: residuals of those that no motion changes, by place;
     `slopes`: gradients of all rows by the relative pose, of a closure that has a reading."""
 
-    kept: list[int]
+    moving: list[int]
     residuals: tuple
     rates: tuple
     jacobian: list[JacobianRow]
@@ -59,7 +59,7 @@ class Dependence(NamedTuple):
     measures: tuple
 
 
-class HeldLoop(NamedTuple):
+class DrivenLoop(NamedTuple):
     """A loop, or several that share bodies, whose free speeds are no more than its rows: drives
     alone move it. Its rows among those of all closures, and these speeds."""
 
@@ -69,29 +69,29 @@ class HeldLoop(NamedTuple):
 
 class ClosureEquations(NamedTuple):
     """Jacobian rows of all closures (by speed index), what each must give for the free
-    accelerations, which of them count `alike` (equal entries: displacements, or angles, of one
+    accelerations, of which kind each is (`kinds`, equal entries: displacements, or angles, of one
     closure; None: not of a loop that drives hold), and how the rows depend on each other; None:
     not at all."""
 
     rows: list[JacobianRow]
-    wanted: list
-    alike: tuple
+    targets: list
+    kinds: tuple
     dependence: Dependence | None
 
 
-def measures(closure: Closure, found: ConstraintRows, arm: Any) -> list:
+def measures(closure: Closure, rows: ConstraintRows, arm: Any) -> list:
     """What counts as much as a radian in each row that is kept: of lengths the longest `arm`
     [m]."""
-    return [arm if loops.is_length(closure.rows[i]) else 1.0 for i in found.kept]
+    return [arm if loops.is_length(closure.rows[i]) else 1.0 for i in rows.moving]
 
 
-def dependence(system: System, found: list[ConstraintRows]) -> Dependence | None:
+def dependence(system: System, rows: list[ConstraintRows]) -> Dependence | None:
     """How the rows of all closures depend on each other."""
     redundancy = system.topology.redundancy
     names = [
         closure.rows[i]
-        for closure, own in zip(system.closures, found, strict=True)
-        for i in own.kept
+        for closure, part in zip(system.closures, rows, strict=True)
+        for i in part.moving
     ]
     if redundancy is None or redundancy.rank == len(names):
         return None
@@ -99,35 +99,35 @@ def dependence(system: System, found: list[ConstraintRows]) -> Dependence | None
     return Dependence(redundancy.rank, measures)
 
 
-def held_loops(rows: Sequence[Mapping[int, Any]]) -> list[HeldLoop]:
+def driven_loops(rows: Sequence[Mapping[int, Any]]) -> list[DrivenLoop]:
     """The loops that drives hold, from the rows of all by free speed."""
     groups: list[tuple[set[int], set[int]]] = []
     for i, row in enumerate(rows):
         one = ({i}, set(row))
-        apart = [own for own in groups if not own[1] & one[1]]
-        for own in groups:
-            if own[1] & one[1]:
-                one = (one[0] | own[0], one[1] | own[1])
-        groups = [*apart, one]
+        separate = [group for group in groups if not group[1] & one[1]]
+        for group in groups:
+            if group[1] & one[1]:
+                one = (one[0] | group[0], one[1] | group[1])
+        groups = [*separate, one]
     return [
-        HeldLoop(tuple(sorted(own)), tuple(sorted(columns)))
-        for own, columns in groups
-        if len(own) == len(columns)
+        DrivenLoop(tuple(sorted(numbers)), tuple(sorted(columns)))
+        for numbers, columns in groups
+        if len(numbers) == len(columns)
     ]
 
 
-def rows_alike(system: System, found: list[ConstraintRows]) -> tuple:
+def row_kinds(system: System, rows: list[ConstraintRows]) -> tuple:
     """Of the rows of all closures that drives hold which count alike, by equal entries; None for
     the others."""
     kinds = [
         (k, loops.is_length(closure.rows[i]))
-        for k, (closure, own) in enumerate(zip(system.closures, found, strict=True))
-        for i in own.kept
+        for k, (closure, part) in enumerate(zip(system.closures, rows, strict=True))
+        for i in part.moving
     ]
-    held = {
-        i for one in held_loops([row for own in found for row in own.jacobian]) for i in one.rows
+    constrained = {
+        i for one in driven_loops([row for part in rows for row in part.jacobian]) for i in one.rows
     }
-    return tuple(kind if i in held else None for i, kind in enumerate(kinds))
+    return tuple(kind if i in constrained else None for i, kind in enumerate(kinds))
 
 
 def constraint_rows(
@@ -147,25 +147,25 @@ def constraint_rows(
         relative = kinematics.relative_motion(closure, motions)[2]
     pose = relative.pose
     slopes = None
-    row_rates: Callable = lambda *own: loops.row_rates(closure.rows, *own)
+    row_rates: Callable = lambda *motion: loops.row_rates(closure.rows, *motion)
     if closure.reading is None:
         residuals = loops.residuals(closure.rows, pose)
     else:
         residuals, slopes = pose_rows.gradients(closure.reading, pose)
-        row_rates = lambda *own: tuple(pose_rows.rate(slope, *own) for slope in slopes)
+        row_rates = lambda *motion: tuple(pose_rows.rate(slope, *motion) for slope in slopes)
     rates = row_rates(pose, relative.velocity, relative.spin)
     if jacobian is None:
         jacobian = kinematics.relative_jacobian(system, motions, closure, pose, row_rates)
     residuals = _counted(closure, residuals, pose, motions)
-    kept = [i for i, row in enumerate(jacobian) if row or not sp.is_zero(rates[i])]
+    moving = [i for i, row in enumerate(jacobian) if row or not sp.is_zero(rates[i])]
     fixed = {
-        i: value for i, value in enumerate(residuals) if i not in kept and not sp.is_zero(value)
+        i: value for i, value in enumerate(residuals) if i not in moving and not sp.is_zero(value)
     }
     return ConstraintRows(
-        kept,
-        tuple(residuals[i] for i in kept),
-        tuple(rates[i] for i in kept),
-        [jacobian[i] for i in kept],
+        moving,
+        tuple(residuals[i] for i in moving),
+        tuple(rates[i] for i in moving),
+        [jacobian[i] for i in moving],
         fixed,
         slopes,
     )
@@ -207,25 +207,25 @@ def acceleration_equations(
         return pose, moving, loops.relative_acceleration(pose, view, *ends)
 
     gamma = []
-    for closure, found in zip(system.closures, every, strict=True):
+    for closure, part in zip(system.closures, every, strict=True):
         if isinstance(closure.reading, CoordinateSum):
-            of_closure = lambda own: relative(own)[1:]
+            of_closure = lambda motion: relative(motion)[1:]
             second = (sum_acceleration(motions, closure.reading, of_closure),)
         else:
             pose, moving, faster = relative(closure)
             second = (
                 loops.row_accelerations(closure.rows, pose, moving[1], *faster)
                 if closure.reading is None
-                else pose_rows.accelerations(closure.reading, pose, found.slopes, moving, faster)
+                else pose_rows.accelerations(closure.reading, pose, part.slopes, moving, faster)
             )
-        for i, residual, rate in zip(found.kept, found.residuals, found.rates, strict=True):
+        for i, residual, rate in zip(part.moving, part.residuals, part.rates, strict=True):
             target = sp.neg(second[i])
             if stabilisation is not None:
                 target = sp.sub(target, sp.mul(2.0 * stabilisation.alpha, rate))
                 target = sp.sub(target, sp.mul(stabilisation.beta * stabilisation.beta, residual))
             gamma.append(target)
-    rows = [row for found in every for row in found.jacobian]
-    return ClosureEquations(rows, gamma, rows_alike(system, every), dependence(system, every))
+    rows = [row for part in every for row in part.jacobian]
+    return ClosureEquations(rows, gamma, row_kinds(system, every), dependence(system, every))
 
 
 def closing_rows(
@@ -234,12 +234,12 @@ def closing_rows(
     """What joints that close loops and rigid couplings do, from each closure and the multipliers of
     its rows, by their places."""
     rows = []
-    for name, (closure, own) in zip(system.topology.loops, every, strict=True):
+    for name, (closure, forces) in zip(system.topology.loops, every, strict=True):
         if isinstance(closure.reading, CoordinateSum):
-            rows += [Row(name, read_sum(motions, closure.reading)[1], own[0])] if own else []
+            rows += [Row(name, read_sum(motions, closure.reading)[1], forces[0])] if forces else []
             continue
         pose = kinematics.relative_motion(closure, motions)[1]
-        rows.append(row_of_wrench(name, closure, pose, wrench_of_rows(closure, pose, own), name))
+        rows.append(row_of_wrench(name, closure, pose, wrench_of_rows(closure, pose, forces), name))
     return rows
 
 
@@ -249,41 +249,41 @@ def by_closure(
     """Each closure with the multipliers of its rows, by their places."""
     position = 0
     for closure in system.closures:
-        kept = constraint_rows(system, motions, closure).kept
-        yield closure, dict(zip(kept, multipliers[position : position + len(kept)], strict=True))
-        position += len(kept)
+        rows = constraint_rows(system, motions, closure).moving
+        yield closure, dict(zip(rows, multipliers[position : position + len(rows)], strict=True))
+        position += len(rows)
 
 
-def wrench_of_rows(closure: Closure, pose: Pose, own: dict[int, Any]) -> Wrench:
+def wrench_of_rows(closure: Closure, pose: Pose, multipliers: dict[int, Any]) -> Wrench:
     """The wrench on a closure's child about its marker, in the parent marker's axes, from the
     multipliers of its rows by their places."""
     force, torque = sp.ZERO, sp.ZERO
     if closure.reading is not None:
         slopes = pose_rows.gradients(closure.reading, pose)[1]
-        for i, multiplier in own.items():
-            pushed, turned = slopes[i].wrench(pose)
+        for i, multiplier in multipliers.items():
+            pushed, turning = slopes[i].wrench(pose)
             force = sp.plus(force, sp.scale(multiplier, pushed))
-            torque = sp.plus(torque, sp.scale(multiplier, turned))
+            torque = sp.plus(torque, sp.scale(multiplier, turning))
         return Wrench(force, torque)
     columns = sp.transpose(pose.rotation)
-    for i, multiplier in own.items():
+    for i, multiplier in multipliers.items():
         row = closure.rows[i]
         axis = sp.IDENTITY[loops.AXIS[row[0]]]
         if loops.is_length(row):
             force = sp.plus(force, sp.scale(multiplier, axis))
         else:
-            turned = sp.cross(columns[loops.AXIS[row[2]]], axis)
-            torque = sp.plus(torque, sp.scale(multiplier, turned))
+            turning = sp.cross(columns[loops.AXIS[row[2]]], axis)
+            torque = sp.plus(torque, sp.scale(multiplier, turning))
     return Wrench(force, torque)
 
 
 def wrenches_of_rows(
-    system: System, motions: tuple[Motion, ...], own: tuple[dict[int, Any], ...]
+    system: System, motions: tuple[Motion, ...], multipliers: tuple[dict[int, Any], ...]
 ) -> tuple[list[Wrench], list[Wrench]]:
     """What multipliers of the closures' rows, by their places, hold up in a mechanism at rest: the
     wrench on each closure's child about its marker, in the parent marker's axes, and that which
     each link receives through its inboard joint, in the link's frame."""
-    rows = closing_rows(system, motions, zip(system.closures, own, strict=True))
+    rows = closing_rows(system, motions, zip(system.closures, multipliers, strict=True))
     closing = [
         wrench_in_joint([row for row in rows if row.owner == name], name)
         for name in system.topology.loops
@@ -291,10 +291,10 @@ def wrenches_of_rows(
     acting = [NOTHING] * len(system.links)
     add_wrenches(acting, rows)
     through = list(acting)
-    held = tuple(motion._replace(twist=STILL) for motion in motions)
+    still = tuple(motion._replace(twist=STILL) for motion in motions)
     for subtree in system.topology.subtrees:
-        parts: tuple = (system.links, held, [STILL] * len(held), acting)
-        found = tree.joint_wrenches(*kinematics.by_subtree(subtree, *parts))
-        for i, wrench in zip(subtree, found, strict=True):
+        parts: tuple = (system.links, still, [STILL] * len(still), acting)
+        wrenches = tree.joint_wrenches(*kinematics.by_subtree(subtree, *parts))
+        for i, wrench in zip(subtree, wrenches, strict=True):
             through[i] = wrench
     return closing, through

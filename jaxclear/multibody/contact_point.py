@@ -44,8 +44,8 @@ def _rub(
         return law.tractions(normal, state.bristles, slip, speed)
     pressed = jnp.where(normal > 0, normal, LEAST_FORCE + normal)
     tractions, closed = law.tractions(pressed, state.bristles, slip, speed)
-    _, apart = law.tractions(jnp.zeros_like(pressed), state.bristles, slip, speed)
-    rates = (a + state.share * (b - a) for a, b in zip(apart, closed, strict=True))
+    _, open_rates = law.tractions(jnp.zeros_like(pressed), state.bristles, slip, speed)
+    rates = (a + state.share * (b - a) for a, b in zip(open_rates, closed, strict=True))
     return tractions, tuple(rates)
 
 
@@ -54,11 +54,11 @@ def fitted_laws(joint: AbstractClearance) -> tuple[ContactLaws, ...]:
     fitting where a surface counts with its worn radius."""
     follows = any(wearing.worn_radius for _, wearing in joint.maps().values())
     return tuple(
-        own._replace(
-            contact=fitted(own.contact, own.shape),
-            unfitted=own.contact if follows and own.wears else None,
+        laws._replace(
+            contact=fitted(laws.contact, laws.shape),
+            unfitted=laws.contact if follows and laws.wears else None,
         )
-        for own in joint.contact_laws()
+        for laws in joint.contact_laws()
     )
 
 
@@ -67,10 +67,10 @@ def check_followed(joint: AbstractClearance) -> None:
     counts with its worn radius and no contact law there takes a number from the radii."""
     follows = [name for name, (_, wearing) in joint.maps().items() if wearing.worn_radius]
     fits = (
-        isinstance(node, AbstractFit) and _asks_for_radii(node, own.shape)
-        for own in joint.contact_laws()
-        if own.wears
-        for node in jax.tree.leaves(own.contact, is_leaf=lambda x: isinstance(x, AbstractFit))
+        isinstance(node, AbstractFit) and _needs_radii(node, laws.shape)
+        for laws in joint.contact_laws()
+        if laws.wears
+        for node in jax.tree.leaves(laws.contact, is_leaf=lambda x: isinstance(x, AbstractFit))
     )
     if follows and not any(fits):
         raise ValueError(
@@ -80,7 +80,7 @@ def check_followed(joint: AbstractClearance) -> None:
         )
 
 
-def _asks_for_radii(fit: AbstractFit, shape: Shape) -> bool:
+def _needs_radii(fit: AbstractFit, shape: Shape) -> bool:
     """Whether a number follows from the radii: not from the materials or the length alone."""
     value = lambda inner, outer: fit.value(Shape(inner, outer, shape.length))
     program = jax.make_jaxpr(value)(shape.inner_radius, shape.outer_radius).jaxpr
@@ -108,14 +108,14 @@ def laws_now(
         there = joint.indentations(offset, axes, {name: worn[name]})
         for k, (before, after) in enumerate(zip(unworn, there, strict=True)):
             of_part[k] = of_part[k] + before - after
-    found = []
-    for own, lost, gone in zip(laws, outer, inner, strict=True):
-        if own.unfitted is not None:
-            shape = own.shape
-            radii = shape.inner_radius - gone, shape.outer_radius + lost
-            own = own._replace(contact=fitted(own.unfitted, Shape(*radii, shape.length)))
-        found.append(own)
-    return tuple(found)
+    result = []
+    for law, outer_loss, inner_loss in zip(laws, outer, inner, strict=True):
+        if law.unfitted is not None:
+            shape = law.shape
+            radii = shape.inner_radius - inner_loss, shape.outer_radius + outer_loss
+            law = law._replace(contact=fitted(law.unfitted, Shape(*radii, shape.length)))
+        result.append(law)
+    return tuple(result)
 
 
 # Slip speeds are rounded here [m/s]: far below any transition speed, only so that the direction of
@@ -248,10 +248,10 @@ def gap_function(
     offset, axes = pose.translation, _axes(joint, pose)
     indentations, gradients = _indentations(joint, offset, axes, worn)
     candidates = joint.contact_candidates(offset, axes, indentations)
-    found = []
+    result = []
     for overlap, (slope, turns), candidate in zip(indentations, gradients, candidates, strict=True):
-        found.append(GapFunction(overlap, slope, turns, candidate))
-    return tuple(found)
+        result.append(GapFunction(overlap, slope, turns, candidate))
+    return tuple(result)
 
 
 def laws_at(
@@ -354,9 +354,9 @@ def _indentations(joint, offset, axes, worn):
     gradients = []
     for k in range(len(values)):
         backwards = jax.linear_transpose(lambda moved, k=k: changes(moved)[k], arrays)
-        (found,) = backwards(jnp.ones_like(values[k]))
+        (gradient,) = backwards(jnp.ones_like(values[k]))
         slopes = [0] * len(leaves)
-        for i, slope in zip(varying, found, strict=True):
+        for i, slope in zip(varying, gradient, strict=True):
             slopes[i] = slope
         gradients.append(jax.tree.unflatten(structure, slopes))
     return values, gradients
@@ -365,7 +365,7 @@ def _indentations(joint, offset, axes, worn):
 def _wear_rates(joint, offset, axes, contacts, reports):
     """For each surface and each contact that wears it: (volume rate, location features)."""
     indentations = tuple(
-        own.gap_function.indentation if own.pressed is None else own.pressed for own in contacts
+        c.gap_function.indentation if c.pressed is None else c.pressed for c in contacts
     )
     rates = {}
     for surface, (_, wearing) in joint.maps().items():

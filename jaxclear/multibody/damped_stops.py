@@ -112,7 +112,7 @@ def _lightness_along(system: System, motions: tuple[Motion, ...], rows: list) ->
     if system.closures:
         loops = constraints.acceleration_equations(system, motions, None)
     respond, constrain = dynamics.constrained_inverse(
-        masses, loops.rows, loops.alike, loops.dependence
+        masses, loops.rows, loops.kinds, loops.dependence
     )
     size = sum(len(mass) for mass in masses)
     none = [0] * len(loops.rows)

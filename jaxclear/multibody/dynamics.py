@@ -75,9 +75,9 @@ def forward_dynamics(system: System, forces: Forces, stabilisation: Baumgarte | 
     if system.closures:
         with jax.named_scope("constraints"):
             loops = constraints.acceleration_equations(system, forces.motions, stabilisation)
-    respond, constrain = constrained_inverse(masses, loops.rows, loops.alike, loops.dependence)
+    respond, constrain = constrained_inverse(masses, loops.rows, loops.kinds, loops.dependence)
     (free,) = respond([[x for part in right for x in part]])
-    accelerations, multipliers = constrain(free, loops.wanted)
+    accelerations, multipliers = constrain(free, loops.targets)
     return Solution(
         tuple(tuple(accelerations[branch.speeds]) for branch in system.topology.branches),
         multipliers,
@@ -167,7 +167,7 @@ def with_closures(system: System, forces: Forces, solution: Solution) -> Forces:
         (transmission.closure, forces.pressing[name].torque / transmission.scale)
         for name, transmission in system.transmissions.items()
     ]
-    meshes += [(closure, own.get(0, 0.0)) for closure, own in every]
+    meshes += [(closure, values.get(0, 0.0)) for closure, values in every]
     pulls = transmissions.pulls_of_centres(forces.motions, meshes)
     rows = constraints.closing_rows(system, forces.motions, every)
     return with_rows(forces, [*rows, *(Row("", Direction((pull,)), 1) for pull in pulls)])

@@ -75,8 +75,8 @@ def contact_reports(
     """Report of every clearance joint; `worn` are depth maps by joint and surface."""
     relative = relative_motions(system, motions)
     calls = [
-        (bearing.joint, bearing.contact_laws, own, memories[name], worn.get(name, {}))
-        for (name, bearing), own in zip(system.bearings.items(), relative, strict=True)
+        (bearing.joint, bearing.contact_laws, motion, memories[name], worn.get(name, {}))
+        for (name, bearing), motion in zip(system.bearings.items(), relative, strict=True)
     ]
     with jax.named_scope("contact"):
         reports = map_grouped(contact_point.evaluate, calls)
@@ -104,7 +104,7 @@ def applied_forces(
     """Wrench of contacts, loads and couplings that give on every link, and forces on coordinates;
     `followed`: what the state follows beside the motion."""
     relative = relative_motions(system, motions) if reports else []
-    poses = {name: own.pose for name, own in zip(reports, relative, strict=True)}
+    poses = {name: motion.pose for name, motion in zip(reports, relative, strict=True)}
     of_contacts, wrenches = contact_rows(system, poses, reports), [NOTHING] * len(system.links)
     add_wrenches(wrenches, of_contacts)
     stored: Any
@@ -124,11 +124,11 @@ def applied_forces(
     acting: list[Row] = []
     rates: dict[str, tuple] = {}
     for name, _ in coordinate_loads(system):
-        found, rows = load_rows(system, motions, name, time, followed)
+        sums, rows = load_rows(system, motions, name, time, followed)
         acting += rows
-        rates |= {name: found.rates} if found.rates else {}
-        stored, damping = sp.add(stored, found.stored), sp.add(damping, found.dissipated)
-        external = sp.add(external, found.external)
+        rates |= {name: sums.rates} if sums.rates else {}
+        stored, damping = sp.add(stored, sums.stored), sp.add(damping, sums.dissipated)
+        external = sp.add(external, sums.external)
     pressed = pressing_of(system, motions, followed)
     for name, giving in system.transmissions.items():
         torque = pressed[name].torque
@@ -187,9 +187,9 @@ def contact_rows(
     """What the contacts of clearance joints do, by the poses of the journals in their bearings."""
     return [
         row_of_wrench(
-            name, system.bearings[name].closure, poses[name], Wrench(own.force, own.torque), name
+            name, system.bearings[name].closure, poses[name], Wrench(r.force, r.torque), name
         )
-        for name, own in reports.items()
+        for name, r in reports.items()
     ]
 
 
@@ -198,12 +198,12 @@ def _friction_of_coupling(
 ) -> tuple[Direction, Any, Any, Any] | None:
     """Of a coupling that transmits a torque against its twist: direction of its friction, force
     along it, speed there, and the rate of the deflection that holds; None without friction."""
-    own = system.transmissions[name]
-    end, thread = own.driving, own.coupling.thread
+    train = system.transmissions[name]
+    end, thread = train.driving, train.coupling.thread
     if end is None and thread is None:
         return None
-    known = followed.states.get(name)
-    deflection = jnp.zeros(()) if known is None else known[-1]
+    states = followed.states.get(name)
+    deflection = jnp.zeros(()) if states is None else states[-1]
     if end is not None:
         reading = read_coordinate(system, motions, end.coordinate, followed)
         loses = end.loses
@@ -211,14 +211,14 @@ def _friction_of_coupling(
         friction = -loses.loss(torque * end.slope, share)
         return reading.direction, friction, reading.speed, rate
     assert thread is not None
-    _, pose, relative = kinematics.relative_motion(own.closure, motions)
+    _, pose, relative = kinematics.relative_motion(train.closure, motions)
     helix = thread.helix
     slip = sp.add(sp.mul(helix.axial, relative.velocity[2]), sp.mul(helix.lever, relative.spin[2]))
     slip = jnp.asarray(slip, float)
     share, rate = holding(deflection, slip, thread.presliding, thread.settling_time)
     friction = -thread.coefficient * helix.normal * jnp.abs(torque) * share
     along = Wrench(sp.scale(helix.axial, AXIS), sp.scale(helix.lever, AXIS))
-    return Direction((OnClosure(own.closure, pose, along),)), friction, slip, rate
+    return Direction((OnClosure(train.closure, pose, along),)), friction, slip, rate
 
 
 def pressing_of(
@@ -226,20 +226,20 @@ def pressing_of(
 ) -> dict[str, Pressing]:
     """What couplings with play or stiffness do, by name; alike ones are traced once."""
     calls = []
-    for name, own in system.transmissions.items():
-        twist, end = transmissions.twist_of(motions, own), None
-        if own.has_twist:
-            known = followed.states.get(name)
-            end = transmissions.end_at_start(own, twist) if known is None else known[0]
-        calls.append((transmissions.compliance_of(own), twist, end, followed.shares.get(name)))
-    found = map_grouped(transmissions.pressing, calls)
-    return dict(zip(system.transmissions, found, strict=True))
+    for name, train in system.transmissions.items():
+        twist, end = transmissions.twist_of(motions, train), None
+        if train.has_twist:
+            states = followed.states.get(name)
+            end = transmissions.end_at_start(train, twist) if states is None else states[0]
+        calls.append((transmissions.compliance_of(train), twist, end, followed.shares.get(name)))
+    result = map_grouped(transmissions.pressing, calls)
+    return dict(zip(system.transmissions, result, strict=True))
 
 
 def states_of(name: str, load: AbstractStateLoad, followed: Followed) -> tuple:
     """The states of a load; those with which it starts where none are followed."""
-    known = followed.states.get(name)
-    return tuple(jnp.asarray(x.start, float) for x in load.states()) if known is None else known
+    states = followed.states.get(name)
+    return tuple(jnp.asarray(x.start, float) for x in load.states()) if states is None else states
 
 
 def read_coordinate(
@@ -306,7 +306,7 @@ def read_load(
         relative = kinematics.relative_motion(system.load_closures[name], motions)[2]
         return (JointMotion(*relative),), (), ()
     every = [read_coordinate(system, motions, place, followed) for place in load.coordinates()]
-    positions, speeds, directions = (tuple(own[part] for own in every) for part in range(3))
+    positions, speeds, directions = (tuple(reading[part] for reading in every) for part in range(3))
     return positions, speeds, directions
 
 
@@ -334,8 +334,8 @@ def effect_of(
 ) -> Effect:
     """What a load does on its markers."""
     places = system.load_markers[name]
-    seen = tuple(_marker_motion(link, marker, motions) for link, marker in places)
-    return load.effect(time, seen)
+    marker_motions = tuple(_marker_motion(link, marker, motions) for link, marker in places)
+    return load.effect(time, marker_motions)
 
 
 def _marker_motion(link: int | None, marker: Pose, motions: tuple[Motion, ...]) -> MarkerMotion:

@@ -328,7 +328,7 @@ class Mechanism(AbstractQuantified):
             for part, entry in parts.items()
         }
 
-    def _shown(self):
+    def _summary(self):
         return in_words(self)
 
     @property

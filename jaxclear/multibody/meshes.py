@@ -46,18 +46,18 @@ class Mesh(eqx.Module):
     counts: tuple[Count | None, ...]
 
     def residuals(self, pose: Pose) -> tuple:
-        parts = zip(self.coupling.radii(self.drawn), self._turned(pose), strict=True)
+        parts = zip(self.coupling.radii(self.drawn), self._turn_angles(pose), strict=True)
         rest = [self.coupling.rest(at, self.drawn) for at in (pose, self.drawn)]
         return (sp.add(sp.total(r * x for r, x in parts), sp.sub(*rest)),)
 
-    def _turned(self, pose: Pose) -> list:
+    def _turn_angles(self, pose: Pose) -> list:
         angles = (self.coupling.angles(at) for at in (pose, self.drawn))
         return [a - b for a, b in zip(*angles, strict=True)]
 
     def counted(self, residual: Any, pose: Pose, motions: tuple[Motion, ...]) -> Any:
         """The residual with whole turns; 0 where nothing tells them, so that speeds alone are
         tied."""
-        radii, rotated = self.coupling.radii(self.drawn), self._turned(pose)
+        radii, rotated = self.coupling.radii(self.drawn), self._turn_angles(pose)
         if len(radii) > 1 and self.counts == (None,) * len(radii):
             return jnp.zeros_like(residual)
         for radius, angle, count in zip(radii, rotated, self.counts, strict=True):

@@ -13,11 +13,11 @@ from jaxclear.multibody.system import System
 from jaxclear.multibody.topology import motors
 
 
-def turned(
+def with_motors(
     mechanism: Mechanism, system: System, q: Float[Array, " q"], v: Float[Array, " v"], time: Any
 ) -> tuple[Array, Array]:
     """Coordinates and speeds with those of motors that are not given."""
-    names, given = motors(mechanism.couplings), {*mechanism.start, *mechanism.guess}
+    names, start_names = motors(mechanism.couplings), {*mechanism.start, *mechanism.guess}
     free: list[tuple[Any, str]] = [
         (system.topology.branch_of(motor), coupling)
         for motor, coupling in names.items()
@@ -25,15 +25,15 @@ def turned(
     ]
     if not free:
         return q, v
-    own = unpack_motion(system, [*(q[i] for i in range(len(q))), *(v[i] for i in range(len(v)))])
-    motions = kinematics.link_motions(system, *own, time)
+    place = unpack_motion(system, [*(q[i] for i in range(len(q))), *(v[i] for i in range(len(v)))])
+    motions = kinematics.link_motions(system, *place, time)
     for branch, coupling in free:
         giving: Any = system.transmissions[coupling]
         twist = transmissions.twist_of(motions, giving)
         (factor,) = (x.factor for x in giving.closure.reading.terms if x.joint == branch.name)
         share = giving.scale / factor
         play = giving.coupling.play
-        if branch.name not in given:
+        if branch.name not in start_names:
             amiss = twist.value - (0 if play is None else middle_of(play))
             q = q.at[branch.coordinates.start].add(-share * amiss)
         if branch.name not in mechanism.speeds:

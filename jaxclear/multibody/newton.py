@@ -136,8 +136,8 @@ def independent(problem: Ask, q: Array) -> dict[str, Bool[Array, ""]]:
     start_last = [b for kinds in ((LOOP,), (JOURNAL,), (START,)) for b in blocks if b.kind in kinds]
     report = [block for block in blocks if block.kind == START]
     peaks = least(problem, start_last).exact
-    ends = len(peaks) - sum(len(b.left) for b in report) + np.cumsum([len(b.left) for b in report])
+    ends = len(peaks) - sum(len(b.rest) for b in report) + np.cumsum([len(b.rest) for b in report])
     return {
-        block.name: jnp.all(peaks[end - len(block.left) : end])
+        block.name: jnp.all(peaks[end - len(block.rest) : end])
         for block, end in zip(report, ends, strict=True)
     }

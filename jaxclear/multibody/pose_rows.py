@@ -205,8 +205,8 @@ def accelerations(
     """Second derivative of each row, for the relative velocity and spin of the `motion` and their
     rates, all as seen from the moving parent's marker."""
     (velocity, spin), (linear, angular) = motion, second
-    turned = [sp.cross(spin, axis) for axis in sp.transpose(pose.rotation)]
-    rates = (*[x for row in sp.transpose(tuple(turned)) for x in row], *velocity)
+    swings = [sp.cross(spin, axis) for axis in sp.transpose(pose.rotation)]
+    rates = (*[x for row in sp.transpose(tuple(swings)) for x in row], *velocity)
     entries = _entries(pose)
     moving = [
         i for i, x in enumerate(entries) if not isinstance(x, int) and not sp.is_zero(rates[i])
@@ -220,7 +220,7 @@ def accelerations(
         bends = [next(twice) if kind is None else 0 for kind in kinds]
     out = []
     for slope, bend in zip(slopes, bends, strict=True):
-        wheeled = [sp.dot(sp.cross(spin, t), g) for t, g in zip(turned, slope.columns, strict=True)]
+        wheeled = [sp.dot(sp.cross(spin, t), g) for t, g in zip(swings, slope.columns, strict=True)]
         out.append(sp.total((bend, rate(slope, pose, linear, angular), *wheeled)))
     return tuple(out)
 

@@ -73,8 +73,8 @@ def adjoint_of_inverse(pose: Transform, twist: TwistVector) -> TwistVector:
     it: R^T (v + w x p), R^T w.
     """
     linear, angular = twist[:3], twist[3:]
-    turned = pose[:3, :3].T
-    return jnp.concatenate([turned @ (linear + jnp.cross(angular, pose[:3, 3])), turned @ angular])
+    turn = pose[:3, :3].T
+    return jnp.concatenate([turn @ (linear + jnp.cross(angular, pose[:3, 3])), turn @ angular])
 
 
 # Which conditions an ideal joint may hold on the rotation, beside none: those of a revolute joint,

@@ -237,9 +237,9 @@ def _rows(mechanism: Mechanism, q: Array, time: Any) -> tuple[Row, ...]:
         around = [system.topology.branches[i].name for i in {*steps[0]} ^ {*steps[1]}]
         result = constraints.constraint_rows(system, motions, closure)
         fixed = range(len(closure.rows)) if _in_space(mechanism, joint) else result.fixed
-        counted = sorted({*result.kept, *(fixed if counts_fixed else ())})
+        counted = sorted({*result.moving, *(fixed if counts_fixed else ())})
         rows += [
-            Row(joint, closure.rows[i], i, k, i not in result.kept, (joint, *around))
+            Row(joint, closure.rows[i], i, k, i not in result.moving, (joint, *around))
             for i in counted
         ]
     return tuple(rows)

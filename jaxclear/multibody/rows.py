@@ -154,7 +154,7 @@ def add_wrenches(wrenches: list[Wrench], rows: Iterable[Row]) -> None:
             if link is not None:
                 acting[link].append(wrench)
     total = lambda *each: functools.reduce(sum_wrenches, each)
-    moved = [i for i, own in enumerate(acting) if own]
+    moved = [i for i, wrench in enumerate(acting) if wrench]
     sums = map_many(total, [(wrenches[i], *acting[i]) for i in moved])
     for i, wrench in zip(moved, sums, strict=True):
         wrenches[i] = wrench
@@ -175,13 +175,13 @@ def wrench_in_joint(rows: Iterable[Row], joint: str | None) -> Wrench:
 
 def forces_on_drives(motions: tuple[Motion, ...], rows: Iterable[Row]) -> dict[int, Any]:
     """Sums of rows along coordinates that drives prescribe, by link."""
-    found: dict[int, Any] = {}
+    sums: dict[int, Any] = {}
     for row in rows:
         for place in row.direction.places:
             if isinstance(place, OnLink) and motions[place.link].prescribed:
                 size = sp.mul(place.factor, row.force)
-                found[place.link] = sp.add(found.get(place.link, 0), size)
-    return found
+                sums[place.link] = sp.add(sums.get(place.link, 0), size)
+    return sums
 
 
 def _sized(row: Row, place: OnClosure) -> Wrench:
@@ -196,11 +196,11 @@ def _action_and_reaction(
     that is the ground."""
     on_child = on_parent = None
     if child is not None:
-        turned = (
+        rotated = (
             sp.apply_transposed(pose.rotation, force),
             sp.apply_transposed(pose.rotation, torque),
         )
-        on_child = tree.transform_wrench(child, Wrench(*turned))
+        on_child = tree.transform_wrench(child, Wrench(*rotated))
     if parent is not None:
         moment = sp.plus(torque, sp.cross(pose.translation, force))
         back = Wrench(tuple(sp.neg(x) for x in force), tuple(sp.neg(x) for x in moment))

@@ -23,7 +23,7 @@ from jaxclear.native.compiled import compiled_quickly
 CLOSED = 1e-8
 # By how much a given number may be missed [rad, longest arms]: numbers written with six digits
 # close a loop that leaves them no freedom.
-HELD = 1e-6
+EXACT = 1e-6
 # How far a coordinate may start beyond a stop, or inside a flank [rad, longest arms]: as deep as
 # contacts of hard parts are ever pressed.
 PRESSED = 2e-3
@@ -59,9 +59,9 @@ def verdicts(mechanism: Mechanism, start: Start) -> Iterator[tuple[Any, str, Any
     for name in mechanism.topology.loops:
         yield _dead_point, name, _most(start.rates[name]) <= CLOSED * fast
     for name, missed in start.missed.items():
-        yield _missed_coordinate, name, _most(missed) <= HELD
+        yield _missed_coordinate, name, _most(missed) <= EXACT
     for name, missed in start.missed_speeds.items():
-        yield _missed_speed, name, _most(missed) <= HELD * fast
+        yield _missed_speed, name, _most(missed) <= EXACT * fast
     for name in mechanism.topology.clearances:
         # What is given may hold a journal elsewhere, but not deep in the wall.
         if name in start.residuals and not mechanism.start:
@@ -72,15 +72,15 @@ def verdicts(mechanism: Mechanism, start: Start) -> Iterator[tuple[Any, str, Any
 
 def open_by(start: Start) -> float:
     """By how much loops are open [m, 1]; 0 where they count as closed."""
-    most = max((float(_most(left)) for left in start.residuals.values()), default=0.0)
+    most = max((float(_most(rest)) for rest in start.residuals.values()), default=0.0)
     return most if not most <= CLOSED else 0.0
 
 
 def is_placed(start: Start) -> bool:
     """Whether loops are closed and coordinates as they are given: what is wrong, if anything, is
     none of the place."""
-    missed = max((float(_most(left)) for left in start.missed.values()), default=0.0)
-    return open_by(start) == 0.0 and missed <= HELD
+    missed = max((float(_most(rest)) for rest in start.missed.values()), default=0.0)
+    return open_by(start) == 0.0 and missed <= EXACT
 
 
 def refuse(mechanism: Mechanism, start: Start) -> None:
@@ -159,10 +159,10 @@ def _deep(mechanism: Mechanism, start: Start, name: str) -> str:
 def _missed_coordinate(mechanism: Mechanism, start: Start, name: str) -> str:
     joint = coordinate_joint(name, mechanism.bodies, mechanism.connections)
     values, missed = mechanism.start[name], start.missed[name]
-    given = f'"{name}": {_in_words(values)}'
+    entry = f'"{name}": {_in_words(values)}'
     if name not in determined(mechanism, start):
         return (
-            f"no way to assemble with start={{{given}}} was found from the guess of the other "
+            f"no way to assemble with start={{{entry}}} was found from the guess of the other "
             f"joints: {_most(missed):.3g} (rad, or longest arms) remain. Give start= or "
             "guess= for more of the joints around it, nearer to the wanted position; or it lies "
             "out of reach."
@@ -172,9 +172,9 @@ def _missed_coordinate(mechanism: Mechanism, start: Start, name: str) -> str:
         place = float(values[0]) + float(missed[0]) * _measure(mechanism, joint)
         where = f"put it at {place:.6g} {joint.units[0]}"
     return (
-        f"start={{{given}}} is more than the mechanism leaves free: {_holding(mechanism, name)} "
+        f"start={{{entry}}} is more than the mechanism leaves free: {_holding(mechanism, name)} "
         f'and what start gives before {where}. Leave "{name}" out, or give it as '
-        f"guess={{{given}}}, which chooses between the ways to assemble without being held."
+        f"guess={{{entry}}}, which chooses between the ways to assemble without being held."
     )
 
 
@@ -191,10 +191,10 @@ def _missed_speed(mechanism: Mechanism, start: Start, name: str) -> str:
 def _holding(mechanism: Mechanism, name: str) -> str:
     """What holds a mechanism beside what is given, in words: of couplings those of this joint, or
     all."""
-    known = mechanism.couplings
-    own = [coupling for coupling, each in known.items() if name in each.joints()]
-    word = "coupling" if len(own or known) == 1 else "couplings"
-    return f"its loops, drives, {word} {listed(own or known)}" if known else "its loops, drives"
+    every = mechanism.couplings
+    named = [coupling for coupling, each in every.items() if name in each.joints()]
+    word = "coupling" if len(named or every) == 1 else "couplings"
+    return f"its loops, drives, {word} {listed(named or every)}" if every else "its loops, drives"
 
 
 def _in_words(values: tuple) -> str:
@@ -209,16 +209,16 @@ def _measure(mechanism: Mechanism, joint: Any) -> float:
 def determined(mechanism: Mechanism, start: Start) -> tuple[str, ...]:
     """Names of what `start` gives although loops, drives and what is given before determine it, and
     so do journals that lie in the middle of their bearings."""
-    left = [_most(start.residuals.get(name, np.inf)) for name in mechanism.topology.clearances]
-    concentric = all(x <= CLOSED for x in left)
+    rest = [_most(start.residuals.get(name, np.inf)) for name in mechanism.topology.clearances]
+    concentric = all(x <= CLOSED for x in rest)
     free = _free(mechanism, concentric, start.coordinates, jnp.asarray(_jolt(start)))
     return tuple(name for name in mechanism.given["start"] if not free[name])
 
 
 @compiled_quickly
 def _free(mechanism: Mechanism, concentric: bool, q: Any, jolt: Any) -> dict[str, Any]:
-    asked = ask(mechanism, concentric)
-    return independent(asked, retract(asked.system, q, jolt))
+    problem = ask(mechanism, concentric)
+    return independent(problem, retract(problem.system, q, jolt))
 
 
 def _jolt(start: Start) -> np.ndarray:
@@ -229,12 +229,12 @@ def _jolt(start: Start) -> np.ndarray:
 def beyond_limits(mechanism: Mechanism, start: Start) -> str:
     """A sentence where a coordinate starts beyond a stop or inside the flank of a play; "" where
     none does, and for what is being traced."""
-    stops: dict[str, Any] = {n: own for n, own in mechanism.loads.items() if _sides(own)}
-    plays = {n: own for n, own in mechanism.couplings.items() if own.gives and own.play}
+    stops: dict[str, Any] = {n: load for n, load in mechanism.loads.items() if _sides(load)}
+    plays = {n: load for n, load in mechanism.couplings.items() if load.gives and load.play}
     if not (stops or plays) or is_traced((mechanism, start)):
         return ""
-    arm, *depths = _limits_passed(mechanism, tuple(stops), tuple(plays), start.coordinates)
-    said = []
+    arm, *depths = _limits_exceeded(mechanism, tuple(stops), tuple(plays), start.coordinates)
+    texts = []
     for name, depth in zip((*stops, *plays), map(float, depths), strict=True):
         slides = moves_along(mechanism, stops.get(name, plays.get(name)))
         if depth > PRESSED * (float(arm) if slides else 1.0):
@@ -242,12 +242,12 @@ def beyond_limits(mechanism: Mechanism, start: Start) -> str:
             what = f'inside a flank of coupling "{name}"'
             if name in stops:
                 what = f'beyond stop "{name}" of joint "{stops[name].coordinates()[0]}"'
-            said.append(f"The start lies {where} {what}")
-    if not said:
+            texts.append(f"The start lies {where} {what}")
+    if not texts:
         return ""
-    more = f", and {len(said) - 1} more such" if len(said) > 1 else ""
+    more = f", and {len(texts) - 1} more such" if len(texts) > 1 else ""
     return (
-        f"{said[0]}{more}, whose spring throws it out: give start={{...}} within (of an imported "
+        f"{texts[0]}{more}, whose spring throws it out: give start={{...}} within (of an imported "
         "model keyframe=...)."
     )
 
@@ -257,25 +257,25 @@ def _sides(load: Any) -> tuple:
 
 
 @compiled_quickly
-def _limits_passed(
+def _limits_exceeded(
     mechanism: Mechanism, stops: tuple[str, ...], plays: tuple[str, ...], q: Any
 ) -> list:
     """The longest arm [m], and how far the start is beyond stops and inside flanks [rad, m];
     stops of joints outside the tree are not looked at."""
-    asked = ask(mechanism, False)
-    system, still = asked.system, jnp.zeros(asked.system.topology.speed_count)
-    motions = motions_at(asked, q, still, 0.0)[2]
-    found = [asked.arm]
+    problem = ask(mechanism, False)
+    system, still = problem.system, jnp.zeros(problem.system.topology.speed_count)
+    motions = motions_at(problem, q, still, 0.0)[2]
+    result = [problem.arm]
     for name in stops:
         load: Any = mechanism.loads[name]
         branch = system.topology.branch_of(load.coordinates()[0])
-        own = None if branch is None else motions[system.topology.branches.index(branch)]
-        place = [] if own is None else own.coordinates[:1]
+        motion = None if branch is None else motions[system.topology.branches.index(branch)]
+        place = [] if motion is None else motion.coordinates[:1]
         depths = [side.beyond(x) for side in _sides(load) for x in place]
-        found.append(jnp.max(sp.stack(depths), initial=0.0))
+        result.append(jnp.max(sp.stack(depths), initial=0.0))
     for name in plays:
         giving = system.transmissions[name]
         play = giving.coupling.play
         twist = transmissions.twist_of(motions, giving).value
-        found.append(jnp.abs(sp.sub(twist, middle_of(play))) - 0.5 * play.play)
-    return found
+        result.append(jnp.abs(sp.sub(twist, middle_of(play))) - 0.5 * play.play)
+    return result

@@ -23,7 +23,7 @@ from jaxclear.ground.quantity import is_traced
 from jaxclear.multibody import constraints, kinematics, loops, start_constraints
 from jaxclear.multibody.loops import Closure
 from jaxclear.multibody.mechanism import Mechanism
-from jaxclear.multibody.motors_at_start import turned
+from jaxclear.multibody.motors_at_start import with_motors
 from jaxclear.multibody.start_constraints import at_start
 from jaxclear.multibody.state import unpack_motion
 from jaxclear.multibody.system import System, longest_arm, motor_ends, prepare
@@ -93,7 +93,7 @@ class Block(NamedTuple):
 
     kind: str
     name: str
-    left: Float[Array, " rows"]
+    rest: Float[Array, " rows"]
     measure: Float[Array, " rows"]
     fixed: Float[Array, " fixed"]
     rows: list[kinematics.JacobianRow]
@@ -131,7 +131,7 @@ def guess(mechanism: Mechanism, system: System | None = None) -> tuple[Array, Ar
             part, fast = at_start(branch, link.joint, part, fast)
             q.extend(part)
             v.extend(fast)
-    return turned(mechanism, system, sp.stack(q), sp.stack(v), 0.0)
+    return with_motors(mechanism, system, sp.stack(q), sp.stack(v), 0.0)
 
 
 def retract(system: System, q: Array, step: Array) -> Array:
@@ -159,7 +159,7 @@ def speed_scales(problem: Ask) -> Float[Array, " v"]:
 class Place(NamedTuple):
     """A mechanism at rest: coordinates by branch, and the motions of all links."""
 
-    own: tuple
+    coordinates: tuple
     motions: tuple[Motion, ...]
 
 
@@ -212,7 +212,7 @@ def _coordinate_blocks(problem: Ask, place: Place, kind: str) -> list[Block]:
     ]
     values_of = [values for _, values in reported_of]
     equations = start_constraints.coordinate_equations(
-        problem.system, place.motions, place.own, sources, values_of, kind == GUESS
+        problem.system, place.motions, place.coordinates, sources, values_of, kind == GUESS
     )
     for (name, values), where, equation in zip(reported_of, sources, equations, strict=True):
         report = where.joint.told(values)
@@ -258,10 +258,10 @@ def stacked(problem: Ask, blocks: list[Block]) -> tuple[Array, Array]:
     none = jnp.zeros((0, problem.system.topology.speed_count))
     if len(blocks) >= LARGEST_UNROLLED:
         rows = [row for block in blocks for row in block.rows]
-        return _dense(problem, rows), jnp.concatenate([block.left for block in blocks])
+        return _dense(problem, rows), jnp.concatenate([block.rest for block in blocks])
     return (
         jnp.concatenate([none, *jacobians(problem, blocks)]),
-        jnp.concatenate([none.ravel(), *(block.left for block in blocks)]),
+        jnp.concatenate([none.ravel(), *(block.rest for block in blocks)]),
     )
 
 
@@ -286,7 +286,7 @@ def leaves_free(problem: Ask, blocks: list[Block]) -> bool:
     topology = problem.system.topology
     counts = dict.fromkeys((LOOP, START, JOURNAL, STRAIGHT), 0)
     for block in blocks:
-        counts[block.kind] += len(block.left)
+        counts[block.kind] += len(block.rest)
     if topology.redundancy is not None:
         counts[LOOP] = min(counts[LOOP], topology.redundancy.rank)
     return sum(counts.values()) < topology.speed_count

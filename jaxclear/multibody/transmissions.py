@@ -63,9 +63,9 @@ class Pressing(NamedTuple):
     torques: tuple = ()
 
 
-def twist_of(motions: tuple[Motion, ...], own: Transmission) -> CouplingTwist:
+def twist_of(motions: tuple[Motion, ...], train: Transmission) -> CouplingTwist:
     """The twist of a transmission as the links move."""
-    closure = own.closure
+    closure = train.closure
     if isinstance(closure.reading, CoordinateSum):
         residual, direction = read_sum(motions, closure.reading)
         rate = direction.rate(motions)
@@ -74,35 +74,35 @@ def twist_of(motions: tuple[Motion, ...], own: Transmission) -> CouplingTwist:
         (residual,), (slope,) = pose_rows.gradients(closure.reading, pose)
         residual = closure.reading.counted(residual, pose, motions)
         rate = pose_rows.rate(slope, pose, relative.velocity, relative.spin)
-    value, fast = residual / own.scale, rate / own.scale
-    wobble = _wobble(motions, own)
+    value, fast = residual / train.scale, rate / train.scale
+    wobble = _wobble(motions, train)
     if wobble is None:
         return CouplingTwist(value, fast)
     more, slope, speed = wobble
     return CouplingTwist(value + more, fast + slope * speed)
 
 
-def _wobble(motions: tuple[Motion, ...], own: Transmission) -> tuple[Any, Any, Any] | None:
+def _wobble(motions: tuple[Motion, ...], train: Transmission) -> tuple[Any, Any, Any] | None:
     """What the transmission error of a coupling with a motor adds to a twist [rad], its derivative
     by the coordinate on which it hangs [1], and the speed of this [rad/s]; None of one without."""
-    error, reading = own.coupling.transmission_error, own.closure.reading
+    error, reading = train.coupling.transmission_error, train.closure.reading
     if error is None or not isinstance(reading, CoordinateSum):
         return None
     moving = motions[reading.terms[0].link]
     value, slope = value_and_slope(error, moving.coordinates[0])
-    share = 1 / own.coupling.ratio
+    share = 1 / train.coupling.ratio
     return share * value, share * slope, moving.speeds[0]
 
 
-def twist_direction(motions: tuple[Motion, ...], own: Transmission) -> Direction:
+def twist_direction(motions: tuple[Motion, ...], train: Transmission) -> Direction:
     """The direction of a force along the twist of a transmission, times its `scale`."""
-    closure, wobble = own.closure, _wobble(motions, own)
+    closure, wobble = train.closure, _wobble(motions, train)
     if isinstance(closure.reading, CoordinateSum):
-        found = read_sum(motions, closure.reading)[1]
+        direction = read_sum(motions, closure.reading)[1]
         if wobble is None:
-            return found
+            return direction
         first = closure.reading.terms[0].link
-        return Direction((*found.places, OnLink(first, own.scale * wobble[1])))
+        return Direction((*direction.places, OnLink(first, train.scale * wobble[1])))
     pose = kinematics.relative_motion(closure, motions)[1]
     (slope,) = pose_rows.gradients(closure.reading, pose)[1]
     return Direction((OnClosure(closure, pose, Wrench(*slope.wrench(pose))),))
@@ -118,26 +118,26 @@ class Compliance(NamedTuple):
     slack: Any = None
 
 
-def compliance_of(own: Transmission) -> Compliance:
+def compliance_of(train: Transmission) -> Compliance:
     """What lies between the two sides of a transmission."""
-    coupling = own.coupling
+    coupling = train.coupling
     return Compliance(coupling.play, coupling.stiffness, coupling.damping, coupling.slack_twist())
 
 
 def pressing(
-    own: Compliance, twist: CouplingTwist, end: Any = None, shares: Any = None
+    spring: Compliance, twist: CouplingTwist, end: Any = None, shares: Any = None
 ) -> Pressing:
     """What a transmission does at a twist. `end`: where the shaft's far end is from the middle of
     the gap (None: its law has none); `shares` of the upper and the lower flank that count as
     touching, 1 or 0 (None: as their places have it)."""
-    play, stiffness, damping, slack = own
+    play, stiffness, damping, slack = spring
     if slack is not None:
-        return _of_strands(own, twist)
+        return _of_strands(spring, twist)
     if play is None:
         viscous = 0 if damping is None else damping * twist.rate
-        lost = sp.mul(viscous, twist.rate)
+        loss = sp.mul(viscous, twist.rate)
         elastic = stiffness * twist.value
-        return Pressing(sp.add(elastic, viscous), None, 0.5 * elastic * twist.value, lost, twist)
+        return Pressing(sp.add(elastic, viscous), None, 0.5 * elastic * twist.value, loss, twist)
     half = 0.5 * play.play
     place = sp.sub(twist.value, middle_of(play))
     sides = ((place - half, twist.rate), (-place - half, -twist.rate))
@@ -147,7 +147,7 @@ def pressing(
         torques.append(play.law.torque(stiffness * depth, viscous))
     # At rest a shaft needs no damping.
     if end is not None and damping is not None:
-        return _with_end(own, twist, (place, half, end), (torques, shares))
+        return _with_end(spring, twist, (place, half, end), (torques, shares))
     depths: tuple = tuple(side[0] for side in sides)
     rates = tuple(side[1] for side in sides)
     if play.law.left_by_torque:
@@ -160,46 +160,46 @@ def pressing(
     if shares is None:
         touching = [jnp.where(depth >= 0, 1.0, 0.0) for depth in depths]
     acting = [share * torque for share, torque in zip(touching, torques, strict=True)]
-    stored, lost = 0, 0
+    stored, loss = 0, 0
     for (depth, rate), torque in zip(sides, acting, strict=True):
         # What is left in a flank as it goes back without the other part is lost.
         stored = stored + 0.5 * stiffness * positive_part(depth) * depth
-        lost = lost + torque * rate - jnp.where(depth > 0, stiffness * depth * rate, 0.0)
-    told = (acting[0] - acting[1], None, stored, lost, twist)
-    return Pressing(*told, depths, rates, tuple(acting))
+        loss = loss + torque * rate - jnp.where(depth > 0, stiffness * depth * rate, 0.0)
+    parts = (acting[0] - acting[1], None, stored, loss, twist)
+    return Pressing(*parts, depths, rates, tuple(acting))
 
 
-def _of_strands(own: Compliance, twist: CouplingTwist) -> Pressing:
+def _of_strands(belt: Compliance, twist: CouplingTwist) -> Pressing:
     """The same of a belt whose two strands share its stiffness, and pull alone."""
-    half = None if own.damping is None else 0.5 * own.damping
+    half = None if belt.damping is None else 0.5 * belt.damping
     pulls = [
-        one_sided(own.slack + sign * twist.value, sign * twist.rate, 0.5 * own.stiffness, half)
+        one_sided(belt.slack + sign * twist.value, sign * twist.rate, 0.5 * belt.stiffness, half)
         for sign in (1.0, -1.0)
     ]
-    stored, lost = (sp.add(*(getattr(x, part) for x in pulls)) for part in ("stored", "dissipated"))
-    return Pressing(pulls[0].force - pulls[1].force, None, stored, lost, twist)
+    stored, loss = (sp.add(*(getattr(x, part) for x in pulls)) for part in ("stored", "dissipated"))
+    return Pressing(pulls[0].force - pulls[1].force, None, stored, loss, twist)
 
 
-def _with_end(own: Compliance, twist: CouplingTwist, places: tuple, flanks: tuple) -> Pressing:
+def _with_end(spring: Compliance, twist: CouplingTwist, places: tuple, flanks: tuple) -> Pressing:
     """The same of a shaft in series with the gap: `places` (from the middle of the gap, half of it,
     far end), `flanks` (torques as if touching, shares)."""
     (place, half, end), (torques, shares), rate = places, flanks, twist.rate
-    _, stiffness, damping, _ = own
+    _, stiffness, damping, _ = spring
     gaps = (end - half, -end - half)
-    met = [(gap >= 0) & (torque >= 0) for gap, torque in zip(gaps, torques, strict=True)]
-    natural = [jnp.where(each, 1.0, 0.0) for each in met]
+    touched = [(gap >= 0) & (torque >= 0) for gap, torque in zip(gaps, torques, strict=True)]
+    natural = [jnp.where(each, 1.0, 0.0) for each in touched]
     touching = natural if shares is None else shares
     acting = [share * torque for share, torque in zip(touching, torques, strict=True)]
-    apart = 1.0 - touching[0] - touching[1]
+    free = 1.0 - touching[0] - touching[1]
     slack = (stiffness / damping) * (place - end)
-    end_rate = apart * (rate + slack)
+    end_rate = free * (rate + slack)
     wound = sum(
         share * (sign * place - half) for share, sign in zip(touching, (1.0, -1.0), strict=True)
     )
-    wound = jnp.abs(wound) + apart * jnp.abs(place - end)
+    wound = jnp.abs(wound) + free * jnp.abs(place - end)
     stored = 0.5 * stiffness * wound * wound
     torque = acting[0] - acting[1]
-    lost = (1 - apart) * damping * rate * rate + apart * stiffness * wound * wound * (
+    loss = (1 - free) * damping * rate * rate + free * stiffness * wound * wound * (
         stiffness / damping
     )
     depths, rates = [], []
@@ -208,39 +208,39 @@ def _with_end(own: Compliance, twist: CouplingTwist, places: tuple, flanks: tupl
         by_torque = gap >= 0 if shares is None else shares[k] > 0
         depths.append(jnp.where(by_torque, pressed / stiffness, gap))
         rates.append(sign * end_rate)
-    told = (torque, end_rate, stored, lost, twist)
-    return Pressing(*told, tuple(depths), tuple(rates), tuple(acting))
+    parts = (torque, end_rate, stored, loss, twist)
+    return Pressing(*parts, tuple(depths), tuple(rates), tuple(acting))
 
 
-def _over_way(depth: Any, way: Any) -> tuple[Any, Any]:
+def _mean_depth(depth: Any, path: Any) -> tuple[Any, Any]:
     """From a depth so far on, negative where nothing is touched: the mean depth where something is,
     times the share of the way, and that share."""
-    first, last = positive_part(depth), positive_part(depth + way)
-    share = jnp.where(way == 0, jnp.where(depth > 0, 1.0, 0.0), safe_divide(last - first, way))
+    first, last = positive_part(depth), positive_part(depth + path)
+    share = jnp.where(path == 0, jnp.where(depth > 0, 1.0, 0.0), safe_divide(last - first, path))
     return 0.5 * (first + last) * share, share
 
 
-def _mean_of_strands(own: Compliance, twist: CouplingTwist, length: Any) -> Any:
+def _mean_of_strands(belt: Compliance, twist: CouplingTwist, length: Any) -> Any:
     """The same of a belt."""
     torques = []
     for sign in (1.0, -1.0):
-        depth, share = _over_way(own.slack + sign * twist.value, sign * length * twist.rate)
-        elastic = 0.5 * own.stiffness * depth
-        viscous = 0.0 if own.damping is None else 0.5 * own.damping * share * sign * twist.rate
+        depth, share = _mean_depth(belt.slack + sign * twist.value, sign * length * twist.rate)
+        elastic = 0.5 * belt.stiffness * depth
+        viscous = 0.0 if belt.damping is None else 0.5 * belt.damping * share * sign * twist.rate
         torques.append(elastic + bounded(elastic, viscous))
     return torques[0] - torques[1]
 
 
-def mean_torque(own: Compliance, twist: CouplingTwist, end: Any, length: Any) -> Any:
+def mean_torque(spring: Compliance, twist: CouplingTwist, end: Any, length: Any) -> Any:
     """Mean torque over a step of a `length` [s] that begins at a twist and has a mean rate; `end`
     as of `pressing`, at the start. A spring's is what it takes of energy over its way (the discrete
     gradient), a damper acts on the share of the way on which the flank is touched.
 
     Source: Gonzalez 1996, J. Nonlinear Sci. 6, 449, doi:10.1007/BF02440162.
     """
-    play, stiffness, damping, slack = own
+    play, stiffness, damping, slack = spring
     if slack is not None:
-        return _mean_of_strands(own, twist, length)
+        return _mean_of_strands(spring, twist, length)
     if play is None:
         viscous = 0 if damping is None else damping * twist.rate
         return sp.add(stiffness * (twist.value + 0.5 * length * twist.rate), viscous)
@@ -248,30 +248,30 @@ def mean_torque(own: Compliance, twist: CouplingTwist, end: Any, length: Any) ->
     place = sp.sub(twist.value, middle_of(play))
     torques = []
     for sign in (1.0, -1.0):
-        depth, way = sign * place - half, sign * length * twist.rate
+        depth, path = sign * place - half, sign * length * twist.rate
         if end is not None:
             # A shaft that has let go is met where its end is.
             gap = sign * end - half
             depth = jnp.where(gap >= 0, depth, gap)
-        touched, share = _over_way(depth, way)
+        touched, share = _mean_depth(depth, path)
         elastic = stiffness * touched
         viscous = 0.0 if damping is None else damping * share * sign * twist.rate
         torques.append(positive_part(play.law.torque(elastic, viscous)))
     return torques[0] - torques[1]
 
 
-def end_at_start(own: Transmission, twist: CouplingTwist) -> Any:
+def end_at_start(train: Transmission, twist: CouplingTwist) -> Any:
     """Where a relaxed shaft's far end is from the middle of its gap."""
-    play = own.coupling.play
+    play = train.coupling.play
     half = 0.5 * play.play
     return jnp.clip(twist.value - middle_of(play), -half, half)
 
 
-def torque_on_flanks(own: Transmission, depths: Any, rates: Any) -> Any:
+def torque_on_flanks(train: Transmission, depths: Any, rates: Any) -> Any:
     """Torques [N m, N] of the flanks at these depths and rates, as `pressing` tells them."""
-    coupling = own.coupling
+    coupling = train.coupling
     elastic = coupling.stiffness * depths
-    if own.has_twist:
+    if train.has_twist:
         return jnp.maximum(elastic, 0.0)
     viscous: Any = 0.0 if coupling.damping is None else coupling.damping * rates
     if coupling.play.law.left_by_torque:
@@ -283,14 +283,14 @@ def torque_on_flanks(own: Transmission, depths: Any, rates: Any) -> Any:
 def within_gaps(system: System, layout: Layout, entries: list) -> list:
     """The entries of a state with the far ends of shafts not beyond their gaps, as numbers: their
     derivatives are what they were."""
-    found = list(entries)
+    result = list(entries)
     for i, (owner, state) in enumerate(layout.states):
-        own = system.transmissions.get(owner)
-        if own is not None and state == TWIST:
-            place, half = layout.state_start + i, 0.5 * own.coupling.play.play
-            moved = jnp.clip(found[place], -half, half) - found[place]
-            found[place] = found[place] + constant(moved)
-    return found
+        train = system.transmissions.get(owner)
+        if train is not None and state == TWIST:
+            place, half = layout.state_start + i, 0.5 * train.coupling.play.play
+            moved = jnp.clip(result[place], -half, half) - result[place]
+            result[place] = result[place] + constant(moved)
+    return result
 
 
 def between_worn_flanks(

@@ -21,6 +21,7 @@ from jaxclear.plot.motion import hysteresis as hysteresis
 from jaxclear.plot.motion import journal_ends as journal_ends
 from jaxclear.plot.motion import journal_orbit as journal_orbit
 from jaxclear.plot.motion import modes as modes
+from jaxclear.plot.motion import path as path
 from jaxclear.plot.motion import pointing_budget as pointing_budget
 from jaxclear.plot.overview import overview as overview
 from jaxclear.plot.overview import positions as positions

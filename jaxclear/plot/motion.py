@@ -8,8 +8,10 @@ from typing import Any
 import numpy as np
 from matplotlib.patches import Patch
 
+from jaxclear.components.body import GROUND, Marker
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_name, check_number, expect
+from jaxclear.ground.printing import in_a_line
 from jaxclear.plot.canvas import (
     MILLI,
     as_warnings,
@@ -25,7 +27,8 @@ from jaxclear.plot.canvas import (
 from jaxclear.plot.signal import reached
 from jaxclear.results.modes import Mode
 from jaxclear.results.pointing_error import PointingError, shift, turn
-from jaxclear.results.relative_motion import relative_motion
+from jaxclear.results.relative_motion import marker_motion, relative_motion
+from jaxclear.results.solids import moves_in_plane, rows_of, slides
 from jaxclear.results.trajectory import Trajectory
 
 
@@ -79,6 +82,74 @@ def displacement(
     sheet.legend(title="radial clearance")
     sheet.title(f"Centre of mass of the {body}")
     return warned(sheet, {**runs, "ideal": ideal})
+
+
+@answering
+def path(run: Trajectory, *markers: Marker | str, ax: Any = None) -> Any:
+    """Paths of points of bodies, and in grey the mechanism at the instant that spreads it most.
+
+    Of a mechanism that moves in the x-y plane y is drawn over x, of another the path in space.
+    Triangles are joints of the ground, dashed lines its rails, circles other joints.
+
+    Args:
+        run: the run.
+        markers: one or several `Marker`s, or names of bodies, whose centres of mass they then are.
+        ax: `matplotlib.axes.Axes` to draw in, in space with `projection="3d"`; by default a new
+            figure.
+
+    Returns:
+        The figure, or the axes that were given.
+
+    Raises:
+        ValueError: if there is no marker, or no such body.
+    """
+    check_run(run)
+    if not markers:
+        raise ValueError(
+            "plot.path has no point to draw; give markers or names of bodies, such as "
+            'plot.path(run, jc.Marker("rod", (0.06, 0.02))).'
+        )
+    mask, connections = reached(run, -np.inf), run.mechanism.connections
+    paths = [np.asarray(run.path(marker))[mask] for marker in markers]
+    moving = {n: c.child if c.parent.body == GROUND else c.parent for n, c in connections.items()}
+    joints = {name: marker_motion(run, side).place[mask] for name, side in moving.items()}
+    at = np.prod(np.ptp([*joints.values()], axis=0)[:, :2], axis=1).argmax()
+    factor, unit = readable(np.concatenate([*paths, *joints.values()]), "m")
+    space = not moves_in_plane(run)
+    sheet = panels("path", ax, size=(6.0, 5.0), space=space)
+    axis, count = sheet.one, 3 if space else 2
+
+    def draw(places: np.ndarray, style: str, colour: Any, **look: Any) -> None:
+        axis.plot(*factor * places[:, :count].T, style, color=colour, **look)
+
+    for body in run.mechanism.bodies:
+        ends = [
+            marker_motion(run, side).place[mask][at]
+            for connection in connections.values()
+            for side in (connection.parent, connection.child)
+            if side.body == body
+        ]
+        draw(np.array([*ends, *ends[:1]]).reshape(-1, 3), "-", "0.8", lw=2.5, zorder=1)
+    for name, connection in connections.items():
+        is_ground = GROUND in (connection.parent.body, connection.child.body)
+        is_rail = is_ground and slides(connection.joint)
+        if is_rail:
+            along = joints[name][:, np.ptp(joints[name], axis=0).argmax()]
+            draw(joints[name][[along.argmin(), along.argmax()]], "--", "0.4", lw=0.8, zorder=1)
+        mark, size = ("s", 9) if is_rail else ("^", 7) if is_ground else ("o", 5)
+        place = joints[name][at : at + 1]
+        draw(place, mark, "0.4", mfc="0.6" if is_ground else "w", ms=size, zorder=3 - is_ground)
+        side = "top" if is_ground else "bottom"
+        axis.text(*factor * place[0, :count], f"  {name}", color="0.4", fontsize=8, va=side)
+    for k, (marker, places) in enumerate(zip(markers, paths, strict=True)):
+        label = marker if isinstance(marker, str) else in_a_line(marker).replace('"', "")
+        draw(places, "-", f"C{k}", lw=1.4, label=label)
+    axis.set_aspect("equal")
+    for letter in "xyz"[:count]:
+        getattr(axis, f"set_{letter}label")(f"{letter} [{unit}]")
+    sheet.legend()
+    sheet.title("Path of a point" if len(markers) == 1 else "Paths of points")
+    return warned(sheet, {"": run})
 
 
 @answering
@@ -260,25 +331,23 @@ def hysteresis(run: Trajectory, joint: str, *, since: float = 0.0, ax: Any = Non
     history, motion = run.contact(joint), relative_motion(run, joint)
     itself: Any = run.mechanism.connections[joint].joint
     gap = getattr(itself, "gap", itself)
-    stated: Any = getattr(gap, "rows", None) or getattr(gap, "ideal_rows", ())
-    rows = set(stated)
-    if rows == {"x", "y", "z"}:
+    if rows_of(gap) == {"x", "y", "z"}:
         raise ValueError(
             f'the joint "{joint}" is a {type(gap).__name__}, which slides in more than one '
             "direction; its friction has no single displacement."
         )
-    slides = "z" not in rows and "x.z" in rows
-    unit, rub = ("m", "N") if slides else ("rad", "N m")
-    travel = motion.offset[:, 2] if slides else motion.turn
-    speed = motion.rate[:, 2] if slides else motion.spin
-    friction = np.asarray(history.force if slides else history.torque)[:, 2]
+    linear = slides(gap)
+    unit, rub = ("m", "N") if linear else ("rad", "N m")
+    travel = motion.offset[:, 2] if linear else motion.turn
+    speed = motion.rate[:, 2] if linear else motion.spin
+    friction = np.asarray(history.force if linear else history.torque)[:, 2]
     if gap is itself and joint not in run.mechanism.topology.clearances:
-        friction = _of_ideal(itself, history, speed, slides)
+        friction = _of_ideal(itself, history, speed, linear)
     mask = reached(run, since)
     scale, rub = readable(friction[mask], rub)
     rubbed, time = scale * friction[mask], np.asarray(run.time)[mask]
     sheet = panels("hysteresis", ax, 1, 2, (9.5, 4.2), sharey=True)
-    labels = ("displacement", "sliding speed") if slides else ("turn", "angular velocity")
+    labels = ("displacement", "sliding speed") if linear else ("turn", "angular velocity")
     for axis, values, label, per in zip(
         sheet.axes.flat, (travel[mask], speed[mask]), labels, ("", "/s"), strict=True
     ):
@@ -286,7 +355,7 @@ def hysteresis(run: Trajectory, joint: str, *, since: float = 0.0, ax: Any = Non
         lines = over_time(axis, factor * values, rubbed, time)
         axis.axhline(0.0, color="0.7", lw=0.6, zorder=0)
         axis.set_xlabel(f"{label} in {joint} [{label_unit}{per}]")
-    what = "force" if slides else "torque"
+    what = "force" if linear else "torque"
     sheet.one.set_ylabel(f"friction {what} on the child [{rub}]")
     sheet.figure_of.colorbar(lines, ax=sheet.axes.flat[-1], label="time [s]")
     sheet.title(f"Friction of {joint}")

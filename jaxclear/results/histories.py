@@ -51,7 +51,7 @@ def measured(unit: str) -> Any:
 class AbstractHistory(AbstractShown):
     """Numbers over time: what is shown of each is its shape, and its least and largest."""
 
-    def _shown(self):
+    def _summary(self):
         if is_traced(self):
             return f"a traced {public_name(type(self))}"
         units = units_of(type(self)).items()

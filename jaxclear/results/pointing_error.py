@@ -291,7 +291,7 @@ class PointingError(AbstractShown):
             f"largest exact error.{''.join(f' {warning}' for warning in self.warnings)}"
         )
 
-    def _shown(self):
+    def _summary(self):
         return self.sentence()
 
 
@@ -361,6 +361,7 @@ def pointing_error(
             runs have different chains or saving times.
     """
     _check(trajectory, nominal)
+    expect(base, str, "base", "the name of a body")
     links, configuration, errors = tip_errors(
         trajectory, checked_tip(tip), base, checked_through(through), nominal
     )

@@ -129,7 +129,12 @@ def of_body(body: Body, joints: np.ndarray, size: float) -> Triangles:
     turn, sides = _cuboid(body, joints, size)
     extent = np.ptp(joints @ turn, axis=0) if len(joints) else np.zeros(3)
     sides = np.minimum(sides, np.maximum(extent, BLOCK * size))
-    solid = box(np.maximum(sides, THINNEST * size)).moved(turn, com)
+    middle = com
+    if len(body.inertia) == 1 and len(joints) > 1:
+        # A bar in the plane lies between its joints, where its centre of mass may not be.
+        along = turn[:, 0]
+        middle = joints[0] + along * (along @ (com - joints[0]))
+    solid = box(np.maximum(sides, THINNEST * size)).moved(turn, middle)
     ends = [end for end in joints if np.linalg.norm(end - com) > 1e-6 * size]
     return joined([solid, *(between(com, end, ROD * size) for end in ends)])
 
@@ -141,7 +146,8 @@ def _cuboid(body: Body, joints: np.ndarray, size: float) -> tuple[np.ndarray, np
         values, axes = np.linalg.eigh(moments)
         return axes, np.sqrt(np.maximum(6.0 * (values.sum() - 2.0 * values), 0.0))
     square = 12.0 * moments[2, 2]
-    farthest = np.zeros(3) if not len(joints) else joints[np.linalg.norm(joints, axis=1).argmax()]
+    away = joints - (joints[0] if len(joints) > 1 else np.zeros(3))
+    farthest = np.zeros(3) if not len(away) else away[np.linalg.norm(away, axis=1).argmax()]
     spread = np.ptp(joints, axis=0) if len(joints) else np.zeros(3)
     if np.linalg.norm(spread[:2]) < 0.1 * np.sqrt(square):
         return np.eye(3), np.sqrt(0.5 * square) * np.array([1.0, 1.0, 0.4])
@@ -156,6 +162,8 @@ def _cuboid(body: Body, joints: np.ndarray, size: float) -> tuple[np.ndarray, np
 # Radius of a pin or ball without a size of its own, and how much wider what is around it is; shares
 # of the mechanism's size.
 PIN, AROUND_IT, LONG = 0.016, 1.35, 0.06
+# Cosine of the largest tilt of bodies that move in a plane.
+FLAT = 0.99
 # A body of less than this share of the heaviest one's mass has no size of its own.
 NO_MASS = 1e-9
 
@@ -181,6 +189,12 @@ def size_of(run: Any) -> float:
     return float(np.ptp(every, axis=0).max()) or 1.0
 
 
+def moves_in_plane(run: Any) -> bool:
+    """Whether all bodies turn about z alone, up to their tilt in joints with clearance."""
+    turns = [np.asarray(run.body(name).rotation)[:, 2, 2] for name in run.mechanism.bodies]
+    return min(np.nanmin(turn) for turn in turns) > FLAT
+
+
 def parts(run: Any, meshes: Mapping[str, Triangles], size: float) -> dict[str, Part]:
     """What every body, and the ground, is drawn by."""
     ends: dict[str, list[np.ndarray]] = {name: [] for name in (GROUND, *run.mechanism.bodies)}
@@ -193,6 +207,8 @@ def parts(run: Any, meshes: Mapping[str, Triangles], size: float) -> dict[str, P
             if not len(part.points):
                 continue
             ends[marker.body].append(place)
+            if marker.body == GROUND and not slides(connection.joint):
+                part = joined([part, _plate(part)])
             if name not in hinges:
                 joints[marker.body][name] = part.moved(rotation, place)
     solids = {name: joined([]) for name in ends} | dict(meshes)
@@ -205,15 +221,33 @@ def parts(run: Any, meshes: Mapping[str, Triangles], size: float) -> dict[str, P
     return {name: Part(solids[name], joints[name]) for name in ends}
 
 
+def slides(joint: Any) -> bool:
+    """Whether a joint, ideal or with clearance, slides along its z axis and does not turn."""
+    rows = rows_of(joint)
+    return "z" not in rows and "x.z" in rows
+
+
+def rows_of(joint: Any) -> set[str]:
+    """Names of the relative motions that a joint, ideal or with clearance, prevents."""
+    gap: Any = getattr(joint, "gap", joint)
+    return set(getattr(gap, "rows", ()) or getattr(gap, "ideal_rows", ()))
+
+
+def _plate(part: Triangles) -> Triangles:
+    """What a joint of the ground is fastened to: a square behind its part."""
+    width, thick = 1.5 * np.ptp(part.points[:, 0]), 0.1 * np.ptp(part.points[:, 0])
+    behind = np.array([0.0, 0.0, part.points[:, 2].min() - 0.5 * thick])
+    return box((width, width, thick)).moved(np.eye(3), behind)
+
+
 def _joint(connection: Connection, size: float, travel: tuple[float, float]) -> tuple:
     """(outer part, on the parent; inner part, on the child), each in its marker's frame."""
     joint: Any = connection.joint
-    joint = getattr(joint, "gap", joint)
-    rows = set(getattr(joint, "rows", ()) or getattr(joint, "ideal_rows", ()))
+    joint, rows = getattr(joint, "gap", joint), rows_of(joint)
     empty = Triangles(np.zeros((0, 3)), np.zeros((0, 3), int))
     if not {"x"} <= rows:
         return empty, empty
-    if "z" not in rows and "x.z" in rows:
+    if slides(joint):
         return _rail(joint, size, travel)
     radius = float(getattr(joint, "bearing_radius", getattr(joint, "socket_radius", PIN * size)))
     if rows == {"x", "y", "z"}:

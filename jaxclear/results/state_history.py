@@ -304,7 +304,7 @@ class State(AbstractQuantified):
         """Time at which a run from this state begins [s]."""
         return 0.0 if self.motion is None else self.motion.time
 
-    def _shown(self):
+    def _summary(self):
         if self.motion is not None:
             many, when = len(self.motion.coordinates), float(self.motion.time)
             where = f"State of a motion of {many} coordinates, at {when:.6g} s"

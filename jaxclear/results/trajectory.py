@@ -2,10 +2,6 @@
 
 Poses, contacts, reactions and energies are computed from the saved states when asked for, so a run
 pays for none of them. The methods here are fronts of the functions that do it.
-
-What a run tells of a singular position: where rows of closed loops depend on each other, a
-linkage stretched flat, say. There drives do not say which way the linkage goes on, and reactions
-are not determined.
 """
 
 from collections.abc import Callable
@@ -19,9 +15,9 @@ from jaxtyping import Array, Float, Int
 from jaxclear.components.body import Marker
 from jaxclear.formulations.base import AbstractFormulation
 from jaxclear.ground.argument_errors import Renamed
-from jaxclear.ground.arguments import check_count, check_flags, check_name
+from jaxclear.ground.arguments import check_count, check_flags, check_name, expect
 from jaxclear.ground.datasets import write_csv
-from jaxclear.ground.printing import AbstractShown, with_text_repr
+from jaxclear.ground.printing import AbstractShown
 from jaxclear.ground.quantity import constant, is_traced, on_host, on_numbers
 from jaxclear.ground.table import as_table
 from jaxclear.integrators.checks import Checks, Outcome
@@ -37,76 +33,10 @@ from jaxclear.results.histories import (
     MarkerHistory,
     ReactionHistory,
 )
+from jaxclear.results.singular_position import SingularPosition, in_sentences
 from jaxclear.results.state_history import SavedMotion, State, StateHistory, one_of
 from jaxclear.results.transmissions import CouplingHistory
 from jaxclear.results.verification import AbstractVerification, Estimate, Unverified, checked
-
-
-@with_text_repr
-class SingularPosition(eqx.Module):
-    """A position of a run at which the drives do not determine the motion of a loop.
-
-    A run that ended there gives `joint` and `time` only.
-
-    Args:
-        joint: the joint that closes the loop.
-        time: time [s].
-        free: the joint whose direction the drives do not determine there.
-        drives: joints whose drives act on the loop.
-        turned: whether the run left in another direction than inertia requires; None: not known.
-        speeds: speed of the joint `free` before and after [rad/s, m/s].
-    """
-
-    joint: str = eqx.field(static=True)
-    time: float = eqx.field(static=True)
-    free: str = eqx.field(static=True, default="")
-    drives: tuple[str, ...] = eqx.field(static=True, default=())
-    turned: bool | None = eqx.field(static=True, default=None)
-    speeds: tuple[float, float] = eqx.field(static=True, default=(0.0, 0.0))
-
-    @property
-    def passed(self) -> bool:
-        """Whether the run continued in the direction that inertia requires."""
-        return self.turned is False
-
-    def __str__(self) -> str:
-        if not self.free:
-            return f'The loop is that through joint "{self.joint}", at about {self.time:.4g} s.'
-        drives = " and ".join(f'"{name}"' for name in self.drives)
-        plural = "drives" if len(self.drives) > 1 else "drive"
-        verb = "do" if len(self.drives) > 1 else "does"
-        first = (
-            f'At {self.time:.4g} s the loop through joint "{self.joint}" is at a singular position '
-            f'(a dead centre): {plural} {drives} {verb} not say which way joint "{self.free}" goes '
-            "on there."
-        )
-        before, after = (f"{speed:.3g}" for speed in self.speeds)
-        if self.turned is None:
-            return f"{first} Saved states do not tell which way it went: save more often."
-        if self.turned:
-            sentence = f"The run turned it round, its speed from {before} to {after}"
-            return f"{first} {sentence}; nothing pushed it."
-        return f"{first} It went on as its inertia has it."
-
-
-def in_sentences(positions: tuple[SingularPosition, ...]) -> tuple[str, ...]:
-    """A sentence for the first singular position of each loop and kind, with the number of others.
-
-    Args:
-        found: singular positions in the order of time.
-
-    Returns:
-        The sentences.
-    """
-    kinds: dict[tuple, list[SingularPosition]] = {}
-    for one in positions:
-        kinds.setdefault((one.joint, one.free, one.turned), []).append(one)
-    sentences = []
-    for group in kinds.values():
-        more = len(group) - 1
-        again = f" So it did {more} more {'time' if more == 1 else 'times'}." if more else ""
-        sentences.append(f"{group[0]}{again}")
-    return tuple(sentences)
 
 
 class RunStats(AbstractShown):
@@ -122,7 +52,7 @@ class RunStats(AbstractShown):
     rejected_steps: Int[Array, ""]
     verdict: Int[Array, ""]
 
-    def _shown(self):
+    def _summary(self):
         if is_traced(self) or np.ndim(self.verdict):
             return "what traced runs, or several, took"
         taken, tried = int(self.accepted_steps), int(self.rejected_steps)
@@ -156,7 +86,7 @@ class Extremes(AbstractShown):
     transmitted: Any = None
     couplings: tuple[str, ...] = eqx.field(static=True, default=())
 
-    def _shown(self):
+    def _summary(self):
         if is_traced(self) or np.ndim(self.indentation) != 1:
             return "the largest of traced runs, or of several"
         tables: list[Any] = []
@@ -174,12 +104,12 @@ class Extremes(AbstractShown):
         return tuple(tables)
 
 
-_POINT = "run.body(name).com, run.marker(body, at).position or run.coordinate(joint)"
+_POINT = "run.path(marker), run.body(name).com or run.coordinate(joint)"
 # What is meant by names that a run does not have.
 MEANT = {
     **dict.fromkeys(("plot", "show"), "from jaxclear import plot; plot.result(run)"),
     **dict.fromkeys(("animate", "animation"), "from jaxclear import plot; plot.animate(run)"),
-    **dict.fromkeys(("position", "positions", "path"), _POINT),
+    **dict.fromkeys(("position", "positions"), _POINT),
     **dict.fromkeys(("velocity", "speeds"), "run.body(name).velocity or run.speed(joint)"),
     **dict.fromkeys(("force", "forces"), "run.contact(joint) or run.reaction(joint)"),
     **dict.fromkeys(("energy", "energies"), "run.energy_balance()"),
@@ -349,7 +279,7 @@ class Trajectory(AbstractShown):
         """
         return self.verification.estimate(self, checked(response)).of(response, self.mechanism)
 
-    def _shown(self):
+    def _summary(self):
         if is_traced(self.outcome):
             return repr(self)
         if np.ndim(self.outcome):
@@ -434,6 +364,31 @@ class Trajectory(AbstractShown):
             ValueError: if there is no such body, or `at` is given beside a `Marker`.
         """
         return histories.marker(self.body, self.mechanism, body, at)
+
+    @on_numbers
+    def path(self, marker: Marker | str) -> Any:
+        """Path of a point of a body in the ground frame.
+
+        `np.asarray(run.path(marker))` are its positions, shape (time, 3), and
+        `run.path(marker).to_csv(file)` writes them. Inside a derivative take
+        `run.marker(marker).position`.
+
+        Args:
+            marker: a `Marker`, or the name of a body, whose centre of mass it then is.
+
+        Returns:
+            A pandas table, its index the time [s], its columns x [m], y [m] and z [m].
+
+        Raises:
+            ValueError: if there is no such body, or numbers are being traced.
+        """
+        expect(marker, (Marker, str), "the point of a path", "a jaxclear.Marker or a body's name")
+        named = isinstance(marker, str)
+        position = self.body(str(marker)).com if named else self.marker(marker).position
+        columns = {"time [s]": np.asarray(self.time)}
+        for axis, values in zip("xyz", np.asarray(position).T, strict=True):
+            columns[f"{axis} [m]"] = values
+        return as_table(columns, index="time [s]")
 
     def deflection(
         self, name: str, relative_to: Literal["chord", "start"] = "chord"

@@ -50,7 +50,7 @@ class Estimate(AbstractShown):
         unit_in = getattr(response, "unit_in", None)
         return self if unit_in is None else replace(self, unit=unit_in(mechanism))
 
-    def _shown(self):
+    def _summary(self):
         unit = "" if self.unit in ("", "1") else f" {self.unit}"
         values, errors = jax.tree.leaves(self.value), jax.tree.leaves(self.error)
         if is_traced((values, errors)):
@@ -135,7 +135,7 @@ class Unverified(AbstractVerification):
     why: str = eqx.field(static=True, default="it has no replicas")
     warns: bool = eqx.field(static=True, default=False)
 
-    def _shown(self):
+    def _summary(self):
         return f"Not verified: {self.why}."
 
     @property

@@ -27,7 +27,7 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxclear.ground.quantity import constant, is_traced
 from jaxclear.integrators.checks import Outcome
 from jaxclear.multibody import constraints
-from jaxclear.multibody.constraints import HeldLoop, held_loops
+from jaxclear.multibody.constraints import DrivenLoop, driven_loops
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.newton import blocks_of, closed, levenberg, shortened
 from jaxclear.multibody.start_equations import (
@@ -40,8 +40,9 @@ from jaxclear.multibody.start_equations import (
     stacked,
 )
 from jaxclear.native.compiled import compiled_quickly
+from jaxclear.results.singular_position import SingularPosition
 from jaxclear.results.state_history import StateHistory
-from jaxclear.results.trajectory import SingularPosition, Trajectory
+from jaxclear.results.trajectory import Trajectory
 
 # Instants of the saving intervals around which the run ended; steps to close the loops at each,
 # and to follow them.
@@ -185,7 +186,7 @@ def _carried_on(
 
     lengths = jnp.diff(times, prepend=times[:1])
     rows, follows = jax.lax.scan(follow, q, (times, lengths))[1]
-    sizes = [len(block.left) for block in blocks_of(problem, q, times[0])]
+    sizes = [len(block.rest) for block in blocks_of(problem, q, times[0])]
     return rows, follows, jnp.asarray(np.repeat(np.arange(len(sizes)), sizes))
 
 
@@ -215,14 +216,14 @@ def _rows_of(problem: Ask, q: Array, time: Any) -> _Rows:
     return _Rows(entries, jnp.stack(misfits) if misfits else jnp.zeros(0), closures)
 
 
-def _matrix(rows: _Rows, r: HeldLoop) -> Float[Array, "n n"]:
+def _matrix(rows: _Rows, r: DrivenLoop) -> Float[Array, "n n"]:
     matrix = [[rows.entries[i].get(j, 0.0) for j in r.columns] for i in r.rows]
     return jnp.stack([jnp.stack([jnp.asarray(x, float) for x in row]) for row in matrix])
 
 
 def _determinants(problem: Ask, q: Array, time: Any) -> Float[Array, " held"]:
     rows = _rows_of(problem, q, time)
-    values = [jnp.linalg.det(_matrix(rows, loop)) for loop in held_loops(rows.entries)]
+    values = [jnp.linalg.det(_matrix(rows, loop)) for loop in driven_loops(rows.entries)]
     return jnp.stack(values) if values else jnp.zeros(0)
 
 
@@ -352,7 +353,7 @@ def _confirmed(
     time, place = begin + span * moved[-1], retract(problem.system, q, scales * moved[:-1])
     rows = _rows_of(problem, place, time)
     columns, forces = [], []
-    for part in held_loops(rows.entries):
+    for part in driven_loops(rows.entries):
         u, _, right = jnp.linalg.svd(_matrix(rows, part))
         columns.append(jnp.zeros(len(scales)).at[jnp.array(part.columns)].set(abs(right[-1])))
         forces.append(jnp.zeros(len(rows.residuals)).at[jnp.array(part.rows)].set(u[:, -1] ** 2))

@@ -26,7 +26,7 @@ from jaxclear.multibody import constraints
 from jaxclear.multibody.assembly import nearest, ready
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.redundancy import DEPENDENT, is_new, rank_of
-from jaxclear.multibody.start_check import HELD
+from jaxclear.multibody.start_check import EXACT
 from jaxclear.multibody.start_constraints import speed_scales
 from jaxclear.multibody.system import longest_arm, prepare
 from jaxclear.native.compiled import compiled_quickly
@@ -107,7 +107,7 @@ def _check_closed(scene: Posed, position: np.ndarray, q: Array, seats: Callable)
         system, motions = standing_motion(scene.at(now), q[i], seats(i))
         residuals = open_loops(system, motions)
         worst = max(residuals, key=lambda name: float(residuals[name]))
-        if float(residuals[worst]) > HELD * max(1.0, float(longest_arm(system))):
+        if float(residuals[worst]) > EXACT * max(1.0, float(longest_arm(system))):
             raise ValueError(
                 f'{_named(scene, now)} leaves "{worst}" open by {float(residuals[worst]):.3g} m '
                 "(or rad): what is held, joints and couplings contradict each other there. Leave "

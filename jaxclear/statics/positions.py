@@ -120,7 +120,7 @@ class Positions(AbstractShown):
             )
         return tuple(sentences)
 
-    def _shown(self):
+    def _summary(self):
         if np.ndim(self.found) > 1:
             return f"A batch of {len(self.found)} at positions each; found[i] is one."
         places = ", ".join(

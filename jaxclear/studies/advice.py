@@ -269,7 +269,7 @@ class Advice(AbstractAnswer):
         which, off = present.worst
         return f'{text} is {_percent(off)} off in "{which}" with {self._times(present)}.'
 
-    def _shown(self):
+    def _summary(self):
         others = (f"Not {name}: {why}" for name, why in self.why_not().items())
         return self.sentence(), *others
 

@@ -75,7 +75,7 @@ class AbstractAnswer(AbstractShown):
     def sentence(self) -> str:
         """The answer in words; "" where its table says all."""
 
-    def _shown(self):
+    def _summary(self):
         stated = self._stated()
         return *filter(None, [self.sentence()]), table_of(stated), *stated.warned
 

@@ -171,7 +171,7 @@ class MonteCarlo(AbstractAnswer):
         )
         return " ".join(filter(None, sentences))
 
-    def _shown(self):
+    def _summary(self):
         failures = [f"The first that failed: {failure(self, int(i))}" for i in self.failed[:1]]
         summary = self.summary()
         return self.sentence(), *failures, *spread_of(summary), *remarks_of(self, summary)

@@ -130,7 +130,7 @@ class Problem(AbstractQuantified):
             raise AttributeError(f"a Problem has no {name}")
         return getattr(self.experiment, name)
 
-    def _shown(self):
+    def _summary(self):
         """How it is asked, the responses and the variables with their units."""
         description = self.description
         lines = [description.title, "responses"]

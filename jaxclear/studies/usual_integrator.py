@@ -23,7 +23,7 @@ EXPLICIT_SHARE = 2.0
 CAREFUL_SHARE = 1.0
 # Shares of 1 / rate that steps have in a contact, so that impacts, and with them friction loss and
 # wear, are within 2 %: of explicit steps (the four-bar of jaxclear.commands) and of implicit ones
-# (benchmarks/claims/loaded_bearing.py; at 0.1 one of 240 bearings lost 2.2 % too much).
+# (loaded bearings beside `Adaptive` at 1e-9: at 0.1 one of 240 lost 2.2 % too much).
 IMPACT_SHARE, IMPLICIT_SHARE = 0.36, 0.09
 # The same of implicit steps where bristles creep: at 0.1 a journal's wear was 2.8 % off.
 BRISTLE_SHARE = 0.07

@@ -4,9 +4,13 @@
     ```
 
 describes every public name of a module, under the name by which a user reaches it, not by the file
-it lives in. Docstrings are read as Markdown, so that `code` and $mathematics$ are what they look
-like; their sections `Args:`, `Returns:` and `Raises:` become lists. Where a class does not list its
-arguments, a table shows its numbers with default, unit, range and meaning, from the fields.
+it lives in: functions first, then classes, then the abstract bases of one's own. Of a member of a
+family its arguments are shown, and methods that the family has not; of a base what a member must
+define. What else a class has `help` shows.
+
+Docstrings are read as Markdown, so that `code` and $mathematics$ are what they look like; their
+sections `Args:`, `Returns:` and `Raises:` become lists. Where a class does not list its arguments,
+a table shows its numbers with default, unit, range and meaning, from the fields.
 """
 
 import dataclasses
@@ -80,10 +84,11 @@ def section(match: re.Match[str]) -> str:
     """A section of a Google-style docstring as a heading and a list, or a sentence."""
     heading, body = HEADINGS[match[1]], textwrap.dedent(match[2]).strip()
     entries = [" ".join(entry.split()) for entry in re.split(r"\n(?=\S)", body)]
-    if match[1] in ("Args", "Raises"):
+    if match[1] == "Args" or len(entries) > 1:
         items = [re.sub(r"^([\w*, ]+):", r"- `\1`:", entry) for entry in entries]
         return "\n".join([f"\n**{heading}**\n", *items, "\n"])
-    return f"\n**{heading}** {' '.join(entries)}\n\n"
+    only = re.sub(r"^(\w+):", r"`\1`", entries[0]) if match[1] == "Raises" else entries[0]
+    return f"\n**{heading}** {only}\n\n"
 
 
 def arranged(paragraph: str, names: Collection[str]) -> list[str]:
@@ -254,13 +259,24 @@ def built_table(function: Callable) -> list[str]:
     return [*lines, ""] if len(lines) > 3 else []
 
 
+def is_abstract(value: object) -> bool:
+    """Whether a class is the base of a family."""
+    return inspect.isclass(value) and value.__name__.startswith("Abstract")
+
+
 def methods(kind: type) -> list[tuple[str, str, object]]:
-    """(directive, name, function) of what the class itself defines and describes."""
+    """(directive, name, function) of what a user of the class calls: not what its family does with
+    it, and of a base what a member must define."""
+    families = [base for base in kind.__mro__[1:] if id(base) in public() and is_abstract(base)]
+    of_family = {name for base in families for name in dir(base)}
     found = []
     for name, value in vars(kind).items():
         function = value.fget if isinstance(value, property) else value
         function = getattr(function, "__func__", function)
         if name.startswith("_") or not callable(function) or inspect.isclass(function):
+            continue
+        required = getattr(value, "__isabstractmethod__", False)
+        if name in of_family or (is_abstract(kind) and not required):
             continue
         if getattr(function, "__doc__", None):
             found.append(("property" if isinstance(value, property) else "method", name, function))
@@ -274,14 +290,6 @@ def told(value: Callable) -> list[str]:
     except (TypeError, ValueError):
         names = set()
     return markdown(value.__doc__, names)
-
-
-def bases(kind: type) -> list[str]:
-    """The public families that a class belongs to; that its numbers have units is no family."""
-    known = [public()[id(base)][0] for base in kind.__bases__ if id(base) in public()]
-    known = [path for path in known if path != "jaxclear.AbstractQuantified"]
-    links = ", ".join("{py:class}`" + path + "`" for path in known)
-    return [f"Family: {links}.", ""] if known else []
 
 
 def is_own(value: object) -> bool:
@@ -300,7 +308,7 @@ def described(path: str, value: object) -> list[str]:
     if what == "function":
         lines += built_table(value)
     if what == "class":
-        lines += [*bases(value), *number_table(value)]
+        lines += number_table(value)
         for kind, name, function in methods(value):
             arguments = "" if kind == "property" else signature(function)
             lines += [f"::::{{py:{kind}}} {name}{arguments}", "", *told(function), "::::", ""]
@@ -320,7 +328,11 @@ class Reference(SphinxDirective):
         chosen = self.arguments[1].split() if len(self.arguments) > 1 else public_names(module)
         self.env.note_dependency(module.__file__)
         lines = [] if len(self.arguments) > 1 else [*markdown(module.__doc__), ""]
-        for name in chosen:
+        order = lambda name: (
+            is_abstract(getattr(module, name)),
+            inspect.isclass(getattr(module, name)),
+        )
+        for name in sorted(chosen, key=order) if len(self.arguments) == 1 else chosen:
             lines += described(f"{path}.{name}", getattr(module, name))
         found = nodes.container()
         self.state.nested_parse(StringList(lines, module.__file__), self.content_offset, found)

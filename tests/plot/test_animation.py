@@ -187,6 +187,25 @@ def test_a_body_is_no_larger_than_its_joints_are_apart():
         assert np.ptp(solid.points, axis=0).max() == pytest.approx(most, rel=1e-9)
 
 
+def test_a_planar_bar_lies_between_its_joints():
+    """Wherever its centre of mass is: so a coupler is not drawn beside its pins."""
+    joints = np.array([[0.1, 0.0, 0.0], [0.5, 0.3, 0.0]])
+    body = jc.Body(1.0, 0.5**2 / 12, com=(0.28, 0.2))
+    solid = solids.of_body(body, joints, 1.0)
+    bar = solid.points[:24]
+    np.testing.assert_allclose(bar.mean(axis=0) @ [-0.6, 0.8, 0.0], joints[0] @ [-0.6, 0.8, 0.0])
+    assert np.ptp(bar @ [0.8, 0.6, 0.0]) == pytest.approx(0.5)
+
+
+def test_joints_of_the_ground_are_fastened_to_a_plate(run):
+    """A square of the ground's colour behind the pin; the rails of the slider need none."""
+    ground = solids.parts(run, {}, 0.2)["ground"]
+    pin, ring = ground.joints["O"], solids._joint(run.mechanism.connections["O"], 0.2, (0, 0))[0]
+    assert np.ptp(pin.points[:, 0]) == pytest.approx(1.5 * np.ptp(ring.points[:, 0]))
+    assert pin.points[:, 2].min() < ring.points[:, 2].min()
+    assert len(ground.joints["G"].points) == 2 * len(solids.box((1, 1, 1)).points)
+
+
 def test_what_lies_between_the_eye_and_a_joint_is_glass():
     """And neither what lies beside the joint, nor behind it, nor what never comes before it."""
     still, away = np.eye(4)[None], np.eye(4)

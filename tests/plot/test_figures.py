@@ -33,6 +33,7 @@ OF_RUNS = {
     "hysteresis": (lambda run, **k: plot.hysteresis(run, "B", **k), 2),
     "journal_orbit": (lambda run, **k: plot.journal_orbit(run, "B", **k), 1),
     "modes": (lambda run, **k: plot.modes(run, **k), 1),
+    "path": (lambda run, **k: plot.path(run, "rod", jc.Marker("rod", (0.06, 0.02)), **k), 1),
     "phase_portrait": (lambda run, **k: plot.phase_portrait(run, "slider", **k), 1),
     "poincare_section": (lambda run, **k: plot.poincare_section(run, "B", period=PERIOD, **k), 1),
     "pointing_budget": (
@@ -165,3 +166,28 @@ def test_wrong_names_end_in_sentences(run):
     ):
         with pytest.raises(ValueError, match=sentence):
             call()
+
+
+def test_paths_are_drawn_over_the_mechanism_with_equal_axes(run):
+    """The curve is the run's, the pin of the ground a triangle, the slider on a dashed rail."""
+    marker = jc.Marker("rod", (0.06, 0.02))
+    axis = plot.path(run, marker).axes[0]
+    (curve,) = (line for line in axis.lines if line.get_label() == "rod at (0.06, 0.02) m")
+    np.testing.assert_allclose(curve.get_xydata(), 1e3 * np.asarray(run.path(marker))[:, :2])
+    assert axis.get_aspect() == 1.0
+    assert [line.get_marker() for line in axis.lines].count("^") == 1
+    assert [line.get_linestyle() for line in axis.lines].count("--") == 1
+    assert {text.get_text().strip() for text in axis.texts} == {"O", "A", "B", "G"}
+    with pytest.raises(ValueError, match="no point to draw"):
+        plot.path(run)
+    with pytest.raises(ValueError, match='no body "bar"'):
+        plot.path(run, "bar")
+
+
+def test_paths_in_space_are_drawn_in_space():
+    """A body that turns about x leaves the plane."""
+    joint = jc.Connection(jc.joint.Revolute(), "ground", "bar", axis="x")
+    bar = jc.Body(1.0, (0.1, 0.1, 0.1), (0.0, 0.1, 0.0))
+    swing = jc.Mechanism({"bar": bar}, {"O": joint}, speeds={"O": 3.0})
+    found = plot.path(jc.simulate(swing, 0.5, save=11, verify=False), "bar")
+    assert found.axes[0].name == "3d" and found.axes[0].get_zlabel() == "z [mm]"

@@ -335,6 +335,7 @@ CASES = {
         )
     ],
     "overview": [lambda: plot.overview(run())],
+    "path": [lambda: plot.path(run(), SLIDER, jc.Marker(SLIDER, (1e-3, 0.0)))],
     "phase_portrait": [lambda: plot.phase_portrait(run(), SLIDER)],
     "poincare_section": [lambda: plot.poincare_section(run(), JOINT, period=PERIOD)],
     "pointing_budget": [lambda: plot.pointing_budget(pointing())],

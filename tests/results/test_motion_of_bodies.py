@@ -51,6 +51,25 @@ def test_a_pendulum_accelerates_as_its_moments_say(swing):
     np.testing.assert_allclose(2.0 * body.acceleration, force, **EXACT)
 
 
+def test_a_path_is_a_table_of_places_over_time(driven, tmp_path):
+    """Of a crank's pin the circle, with units; of a body's name its centre of mass."""
+    table = driven.path(jc.Marker("crank", (CRANK, 0.0)))
+    angle = SPEED * np.asarray(driven.time)
+    tip = CRANK * np.stack([np.cos(angle), np.sin(angle), 0 * angle], 1)
+    np.testing.assert_allclose(np.asarray(table), tip, **EXACT)
+    assert list(table.columns) == ["x [m]", "y [m]", "z [m]"] and table.index.name == "time [s]"
+    np.testing.assert_array_equal(driven.path("rod"), driven.body("rod").com)
+    table.to_csv(tmp_path / "path.csv")
+    with open(tmp_path / "path.csv") as file:
+        assert file.readline() == "time [s],x [m],y [m],z [m]\n"
+    with pytest.raises(ValueError, match='no body "bar"'):
+        driven.path("bar")
+    with pytest.raises(ValueError, match="the point of a path is 3"):
+        driven.path(3)
+    with pytest.raises(AttributeError, match=r"run\.path\(marker\)"):
+        driven.position  # noqa: B018
+
+
 def test_an_accelerometer_on_a_turning_crank_reads_the_centripetal_acceleration(driven):
     marker = driven.marker(jc.Marker("crank", (CRANK, 0.0)))
     angle = SPEED * np.asarray(driven.time)

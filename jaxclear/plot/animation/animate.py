@@ -28,7 +28,15 @@ from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_count, check_number, expect
 from jaxclear.plot.animation.insets import Pushes, arrow, inset, pushes
 from jaxclear.plot.canvas import check_run
-from jaxclear.results.solids import Part, Triangles, checked_meshes, joined, parts, size_of
+from jaxclear.results.solids import (
+    Part,
+    Triangles,
+    checked_meshes,
+    joined,
+    moves_in_plane,
+    parts,
+    size_of,
+)
 from jaxclear.results.trajectory import Trajectory
 
 # Places of a joint and frames at which is looked; a body hides a joint where it covers more than
@@ -96,8 +104,8 @@ USUAL, SHORTEST, LONGEST, MOST_FRAMES = 10.0, 3.0, 60.0, 3000
 GREY, RED = 0xB8BEC6, 0xC23B22
 # How far the eye is away, in diagonals of what it is to see, and how wide it is open [deg].
 AWAY, OPENING = 1.25, 40.0
-# Frames at which it is asked what is to be seen; cosine of the tilt of bodies that move in a plane.
-LOOKS, FLAT = 40, 0.99
+# Frames at which it is asked what is to be seen.
+LOOKS = 40
 # How much of the light a body stops that is seen through.
 GLASS = 0.25
 
@@ -229,6 +237,7 @@ def _script_data(
             {"name": name, "colour": colours[name], "com": np.asarray(run.body(name).com)[frames]}
             for name in wholes(run.mechanism.bodies)
         ],
+        "ground": f"#{GREY:06x}",
         "joints": [inset(run, name, frames, last) for name in joints],
         "warnings": list(run.warnings),
     }
@@ -269,7 +278,7 @@ def _page(
     time = np.asarray(run.time)[frames].tolist()
     bodies = {n: p for n, p in parts(run, solids, size).items() if len(p.triangles.points)}
     moves = {name: _moves(run, name, frames) for name in bodies}
-    scene.camera = _camera(run, frames, _reach(bodies, moves))
+    scene.camera = _camera(run, _reach(bodies, moves))
     connections = run.mechanism.connections
     joints = [(one["name"], connections[one["name"]].child.body) for one in data["joints"]]
     joints = [(name, body) for name, body in joints if name in bodies[body].joints]
@@ -338,13 +347,12 @@ def _moves(run: Trajectory, name: str, frames: np.ndarray) -> np.ndarray:
     return matrices
 
 
-def _camera(run: Trajectory, frames: np.ndarray, places: np.ndarray) -> list[float]:
+def _camera(run: Trajectory, places: np.ndarray) -> list[float]:
     """Eye, what it looks at, and what is up, to see places (n, 3): onto the plane of motion, or
     with gravity downwards."""
     low, high = places.min(axis=0), places.max(axis=0)
     middle, size = 0.5 * (low + high), float(np.linalg.norm(high - low))
-    turns = [np.asarray(run.body(name).rotation)[frames] for name in run.mechanism.bodies]
-    if all(turn[:, 2, 2].min() > FLAT for turn in turns):
+    if moves_in_plane(run):
         up, towards = np.array([0.0, 1.0, 0.0]), np.array([-0.25, 0.25, 1.0])
     else:
         up = _upwards(run)

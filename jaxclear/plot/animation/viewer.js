@@ -53,6 +53,9 @@
       textShadow: '0 0 3px #fff, 0 0 3px #fff, 0 0 3px #fff', zIndex: 10,
     }, body.name);
   });
+  const ground = make('div', list, {});
+  make('span', ground, { color: run.ground }, '\u25A0 ');
+  make('span', ground, {}, 'ground');
   if (run.largest > 0) {
     const row = make('div', list, {});
     make('span', row, { color: '#c23b22' }, '\u2192 ');

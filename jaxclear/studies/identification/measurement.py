@@ -155,7 +155,7 @@ class Measurement(AbstractShown):
         cut_off = self.cut_off + float(self.time[-1] - at[-1]) if len(at) else 0.0
         return Measurement(at, signals, self.sensors, self.turn, cut_off=cut_off)
 
-    def _shown(self):
+    def _summary(self):
         rows = [
             {
                 "signal": name,

@@ -324,7 +324,7 @@ class WearLife(AbstractAnswer):
             )
         return text
 
-    def _shown(self):
+    def _summary(self):
         return self.sentence(), *self.warnings
 
     concerned = Renamed("is_affected")

@@ -103,7 +103,7 @@ class SteadyCycle(AbstractAnswer):
         error = correlation_factor(volumes) * standard_error(volumes) / volumes.mean()
         return f"{means}; the volume worn in a cycle is known to {100 * error:.2g} % (one sigma)."
 
-    def _shown(self):
+    def _summary(self):
         return self.sentence(), *self.warnings
 
     def _stated(self):

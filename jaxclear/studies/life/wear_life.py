@@ -271,7 +271,7 @@ class WearLifeSample(AbstractAnswer):
             f"warnings.{worst}"
         )
 
-    def _shown(self):
+    def _summary(self):
         return self.sentence()
 
     def _stated(self):

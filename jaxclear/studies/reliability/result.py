@@ -159,7 +159,7 @@ class Reliability(AbstractAnswer):
         parts = [f"{text}; {self.runs} runs in all.", *self._comparison(best), *self._failure(best)]
         return " ".join([*parts, *self._refusals(), *self.notes, *self.warnings])
 
-    def _shown(self):
+    def _summary(self):
         return self.sentence()
 
     def _answers(self, name: str) -> bool:

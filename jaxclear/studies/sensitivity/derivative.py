@@ -89,7 +89,7 @@ class Derivative(AbstractShown):
     trustworthy: bool = eqx.field(static=True)
     estimates: dict[str, Estimate]
 
-    def _shown(self):
+    def _summary(self):
         return self.sentence()
 
     def sentence(self, unit: str = "") -> str:
@@ -114,7 +114,7 @@ class Sensitivity(AbstractAnswer):
         above = self.units.get(response) or problem.units()[response]
         return unit_of_rate(above, units[variable])
 
-    def _shown(self):
+    def _summary(self):
         return "\n".join(self._lines())
 
     def sentence(self) -> str:

@@ -190,7 +190,7 @@ class Drawing(AbstractQuantified):
                 rows.append(row)
         return as_table(rows)
 
-    def _shown(self):
+    def _summary(self):
         return str(self.table())
 
 
