@@ -23,14 +23,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxclear as jc
-from benchmarks.measure import (
-    arguments,
-    by_turns,
-    report,
-    seconds_to_compile,
-    sign,
-    stored_rows,
-)
+from benchmarks.measure import arguments, by_turns, report, seconds_to_compile, sign, stored_rows
 from jaxclear.simulation.derivatives import backwards, is_compared
 from jaxclear.studies.run_experiment import RunExperiment
 

@@ -70,11 +70,9 @@ class Bounds(NamedTuple):
         return None if share is None else share * row.scale
 
     def tolerance(self, row: Difference) -> float | None:
-        """The same as a share."""
+        """The same as a share; None of what is 0 throughout, too."""
         most = self.allowed(row)
-        if most is None:
-            return None
-        return most / row.scale if row.scale > 0 else np.inf
+        return most / row.scale if most is not None and row.scale > 0 else None
 
     def compare(self, run: Trajectory, one: Observed, other: Observed) -> dict[str, float]:
         """By answer how far two runs are apart, beside what is allowed."""

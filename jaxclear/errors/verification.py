@@ -165,17 +165,18 @@ def _verification(
     coarse, counting = bounds.observe(run), integrator
     if coarse.standard.rooms is not None:
         counting = _counting(integrator, coarse.standard.rooms, coarse.standard.arm)
-    possible = [replica(counting, run.time, share) for share in (HALF, QUARTER)]
-    plans = [plan for plan in possible if plan is not None]
-    if len(plans) < len(possible):
-        return Unverified("its steps cannot be refined")
 
     def repeated(plan: Replica, moved: float = 0.0) -> Trajectory:
         return thin_run(again(plan, moved), plan.every)
 
+    plans: list[Replica] = []
     replicas: list[Trajectory] = []
     finer: list[Observed] = []
-    for plan in plans:
+    for share in (HALF, QUARTER):
+        plan = replica(counting, run.time, share)
+        if plan is None:
+            return Unverified("its steps cannot be refined")
+        plans.append(plan)
         replicas.append(repeated(plan))
         if not replicas[-1].succeeded:
             return Failed(replicas[-1].result)

@@ -251,7 +251,8 @@ class Question(eqx.Module):
         if not limit.extreme():
             return jnp.zeros(2)
         nominal, tolerance = self.freedom.decoded(place)
-        value, slope = jax.value_and_grad(lambda x: self.one(limit, x, model))(nominal)
+        slope = jax.jacfwd(lambda x: self.one(limit, x, model))(nominal)
+        value = self.one(limit, nominal, model)
         reach = jnp.sum(jnp.abs(slope) * tolerance)
         return jnp.stack([value - reach, value + reach])
 
@@ -263,7 +264,7 @@ class Question(eqx.Module):
     def corner(self, limit: AbstractLimit, place: np.ndarray, model: AbstractModel) -> np.ndarray:
         """Values (variables,) of the worst case of a limit, by the slopes of a model."""
         nominal, tolerance = self.freedom.decoded(jnp.asarray(place))
-        slope = jax.grad(lambda x: self.one(limit, x, model))(nominal)
+        slope = jax.jacfwd(lambda x: self.one(limit, x, model))(nominal)
         side = 1.0 if limit.upper() else -1.0
         return np.asarray(nominal + side * jnp.sign(slope) * tolerance)
 
