@@ -52,7 +52,10 @@ class StandardAnswer(NamedTuple):
     share: float
     tolerance: float | None
     chaotic: bool
-    promised = Renamed("tolerance", "promised")
+
+    @property
+    def promised(self) -> Any:
+        return Renamed("tolerance", "promised").__get__(self, type(self))
 
     @property
     def name(self) -> str:

@@ -187,7 +187,10 @@ class ResponseInfo(NamedTuple):
     remedy: str = "refine its steps"
     infinite: str = ""
     horizon: float = float("inf")
-    promised = Renamed("tolerance", "promised")
+
+    @property
+    def promised(self) -> Any:
+        return Renamed("tolerance", "promised").__get__(self, type(self))
 
     def tolerance(self, size: float) -> float | None:
         """The largest error of its mean with which a response of this `size` (root mean square)

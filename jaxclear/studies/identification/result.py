@@ -58,7 +58,10 @@ class Unknown(NamedTuple):
     width: float
     verdict: str
     method: str
-    told_by = Renamed("method", "told_by")
+
+    @property
+    def told_by(self) -> Any:
+        return Renamed("method", "told_by").__get__(self, type(self))
 
     def sentence(self) -> str:
         """The unknown in words."""
