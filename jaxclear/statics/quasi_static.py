@@ -183,7 +183,7 @@ def posed(
         if name in drives:
             joint = _drive_of(name, joint)
         connections[name] = Connection(joint, connection.parent, connection.child)
-    start, guess = (_free(mechanism.given[what], drives) for what in ("start", "guess"))
+    start, guess = (_free(mechanism.start_arguments[what], drives) for what in ("start", "guess"))
     loads = at_rest_under(mechanism.loads, drives)
     # What a run begins with says where the mechanism stands at one position only.
     bare = Mechanism(
@@ -223,7 +223,7 @@ def _constrain_motors(
         if not isinstance(load, AbstractStateLoad) or not {*acting[name].coordinates()} & {*motors}
     }
     kinds = ("start", "guess", "speeds")
-    starts = {what: _free(mechanism.given[what], tuple(motors)) for what in kinds}
+    starts = {what: _free(mechanism.start_arguments[what], tuple(motors)) for what in kinds}
     bare = rebuilt(mechanism, couplings=couplings, loads=loads, **starts)
     return bare, motors
 

@@ -274,7 +274,7 @@ class FitSizes(AbstractMechanismVariable):
         except ValueError as error:
             raise ValueError(f'joint "{self.joint}" {error}') from None
 
-    def told(self, name, subject):
+    def identity(self, name, subject):
         return {f'fit of "{name}"': (self.joint, self.means)}
 
 
