@@ -58,7 +58,7 @@ class Rung(NamedTuple):
 
     def work_before(self, setting: AbstractIntegrator, times: np.ndarray) -> float | None:
         """The same before the run, saved at these times [s]; None where steps follow the motion."""
-        step, counted = setting.asked_step(), setting.steps_between_saves
+        step, counted = setting.requested_step(), setting.steps_between_saves
         if counted is not None:
             return float(self.evaluations * counted * (len(times) - 1))
         if step is None:
@@ -68,7 +68,7 @@ class Rung(NamedTuple):
 
     def share(self, setting: AbstractIntegrator, finer: AbstractIntegrator) -> float | None:
         """The share of its steps that a finer setting has; None where nobody knows."""
-        step, shorter = setting.asked_step(), finer.asked_step()
+        step, shorter = setting.requested_step(), finer.requested_step()
         return None if step is None or shorter is None else float(shorter / step)
 
 
@@ -236,8 +236,26 @@ class Tried(NamedTuple):
 
 def budget_of(times: np.ndarray) -> float:
     """What a choice for a run saved at these times [s] may take [evaluations of forces]."""
-    usual = RK4 * float(times[-1] - times[0]) / USUAL_STEP
-    return max(PATIENCE * usual, LEAST_BUDGET)
+    return max(PATIENCE * usual_work(times), LEAST_BUDGET)
+
+
+def usual_work(times: np.ndarray) -> float:
+    """What the usual steps of studies take for a run saved at these times [s] [evaluations of
+    forces]."""
+    return RK4 * max(float(times[-1] - times[0]) / USUAL_STEP, len(times))
+
+
+def is_usual_cheap(mechanism: Mechanism, again: Again, question: Question) -> bool:
+    """Whether a run by `Adaptive()` takes less than a choice may, of which it would be a part."""
+    rung = _controlled(mechanism)._replace(first=Adaptive())
+    budget = PATIENCE * usual_work(question.times)
+    return Search(again, question, budget).affords(rung, rung.first, [])
+
+
+def keeps_accuracy(run: Any, finer: Any, question: Question) -> bool:
+    """Whether a run is as accurate as asked, as one in half its steps tells."""
+    off = question.compare(run, question.observe(run), question.observe(finer))
+    return all(float(richardson([each])) <= 1 for each in off.values())
 
 
 def choose_setting(
@@ -299,7 +317,7 @@ class Search:
         settings: list[Tried] = []
         first = 0
         following: AbstractIntegrator | None = rung.first
-        while following is not None and self._affords(rung, following, settings[first:]):
+        while following is not None and self.affords(rung, following, settings[first:]):
             settings.append(self._tried(rung, following))
             while first + 1 < len(settings):
                 one = self._judged(settings[first], settings[first + 1 : first + 3])
@@ -327,7 +345,7 @@ class Search:
         """Whether a setting is under error control, or stands beside one that is."""
         return one.rung.controlled or self.reference is not None
 
-    def _affords(self, rung: Rung, setting: AbstractIntegrator, open_settings: list[Tried]):
+    def affords(self, rung: Rung, setting: AbstractIntegrator, open_settings: list[Tried]):
         """Whether a setting is worth a run, behind those that are not decided yet."""
         work = rung.work_before(setting, self.question.times)
         last = open_settings[-1].work if open_settings else None

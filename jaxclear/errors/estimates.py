@@ -15,11 +15,14 @@ from jaxtyping import Bool, Float
 
 from jaxclear.components.surface import AbstractSurface
 from jaxclear.errors.observables import named
+from jaxclear.ground.argument_errors import Renamed
+from jaxclear.ground.numerics import safe_divide
 from jaxclear.ground.quantity import is_traced
 from jaxclear.ground.table import as_table
 from jaxclear.integrators.base import PART_OF, Promise
 from jaxclear.integrators.checks import Check
 from jaxclear.multibody.system import wearing_in
+from jaxclear.native.compiled import compiled_quickly
 from jaxclear.results.response import needs_of
 from jaxclear.results.trajectory import Trajectory
 from jaxclear.results.verification import TABLE_COLUMNS, AbstractVerification, Estimate, Unverified
@@ -37,8 +40,8 @@ WORDS = {
 
 class StandardAnswer(NamedTuple):
     """A standard `answer` of a `part` of the promise at a `place`, its `value` and told `error` in
-    its `unit`, the error as the `share` by which it is judged, what is `promised` of it (None:
-    nothing), and whether it is `lost`: no run tells it."""
+    its `unit`, the error as the `share` by which it is judged, its `tolerance` share (None:
+    any error is right), and whether it is `lost`: no run tells it."""
 
     answer: str
     part: str
@@ -47,8 +50,12 @@ class StandardAnswer(NamedTuple):
     value: float
     error: float
     share: float
-    promised: float | None
+    tolerance: float | None
     chaotic: bool
+
+    @property
+    def promised(self) -> Any:
+        return Renamed("tolerance", "promised").__get__(self, type(self))
 
     @property
     def name(self) -> str:
@@ -58,7 +65,7 @@ class StandardAnswer(NamedTuple):
     @property
     def beyond(self) -> bool:
         """Whether the error is beyond what is promised."""
-        return self.promised is not None and not self.share <= self.promised
+        return self.tolerance is not None and not self.share <= self.tolerance
 
 
 class Verified(AbstractVerification):
@@ -80,6 +87,7 @@ class Verified(AbstractVerification):
     remedy: str = eqx.field(static=True)
     why: str = eqx.field(static=True, default="")
     coarser: Trajectory | None = None
+    promised = Renamed("tolerance")
 
     @property
     def entries(self) -> tuple[StandardAnswer, ...]:
@@ -96,7 +104,7 @@ class Verified(AbstractVerification):
 
     @property
     def warnings(self):
-        beyond = sorted((t for t in self.entries if t.beyond), key=lambda t: -t.share / t.promised)
+        beyond = sorted((t for t in self.entries if t.beyond), key=lambda t: -t.share / t.tolerance)
         answers = [row for row in beyond if not row.chaotic]
         return (self._sentence(answers),) if answers else ()
 
@@ -114,7 +122,7 @@ class Verified(AbstractVerification):
         """What is off, by how much, and what to do, of the answers that are furthest beyond."""
         worst, others = beyond[0], len(beyond) - 1
         more = f", and {others} more answer{'s' * (others > 1)}" if others else ""
-        error = f"{worst.share:.2g} {WORDS[worst.part]} (tolerance {worst.promised:g})"
+        error = f"{worst.share:.2g} {WORDS[worst.part]} (tolerance {worst.tolerance:g})"
         cells = "; " if self.coarser is None or worst.part != "losses" else "; more cells, or "
         name = f"{worst.name[0].upper()}{worst.name[1:]}"
         return f"{name}: error about {error}{more}{cells}{self.remedy}."
@@ -147,12 +155,12 @@ class Verified(AbstractVerification):
             return f"the change with {steps} and with wider cells{since}"
         return f"twice the change with {steps}{since}"
 
-    def promised(self, response: Any) -> float | None:
+    def tolerance(self, response: Any) -> float | None:
         """The share that is promised of a response; None for nothing."""
         return getattr(self.promise, PART_OF.get(needs_of(response), ""), None)
 
     def table(self):
-        fields = ("name", "value", "error", "unit", "share", "promised")
+        fields = ("name", "value", "error", "unit", "share", "tolerance")
         rows = [[getattr(t, field) for field in fields] for t in self.entries]
         return as_table(rows, columns=TABLE_COLUMNS, errors={"value": "error"})
 
@@ -209,25 +217,35 @@ def richardson(differences: list[Any], shares: Sequence[float | None] = (HALF, Q
     return functools.reduce(jnp.maximum if is_traced(errors) else np.maximum, errors)
 
 
-def factors_of_cells(run: Trajectory) -> dict[str, float]:
+def factors_of_cells(run: Trajectory) -> dict[str, Any]:
     """The error that cells leave in the depth of each worn surface ("joint, surface"), relative to
     what cells twice as wide change (`factor_of_cells`)."""
     factors = {f"{joint}, {surface}": 1.0 for joint, ks in run.worn.items() for surface in ks}
-    if is_traced((run.states, run.worn, run.invariants)):
+    if not factors or is_traced((run.states, run.worn, run.invariants)):
         return factors
+    return factors | {place: float(x) for place, x in _factors_of_scars(run).items()}
+
+
+@compiled_quickly
+def _factors_of_scars(run: Trajectory) -> dict[str, Any]:
+    factors: dict[str, Any] = {}
     wearing, figures = wearing_in(run.mechanism), run.invariants.figures
-    narrow = np.max(figures[Check.WEAR_BY_CELLS].worst) if Check.WEAR_BY_CELLS in figures else 0.0
+    narrow = jnp.max(figures[Check.WEAR_BY_CELLS].worst) if Check.WEAR_BY_CELLS in figures else 0.0
     for slot in run.history.layout().wear:
         surface = wearing[slot.bearing].maps()[slot.surface][0]
         volume, features = slot.loss(run.states[0], run.states[-1])
-        if isinstance(surface, AbstractSurface) and volume > 0:
+        if isinstance(surface, AbstractSurface):
             place, depth = f"{slot.bearing}, {slot.surface}", run.worn[slot.bearing][slot.surface]
-            factor = factor_of_cells(surface, features, depth, narrow)
-            factors[place] = max(factors[place], factor) if slot.contact else factor
+            before, factor = (
+                factors.get(place, 1.0),
+                factor_of_cells(surface, features, depth, narrow),
+            )
+            larger = jnp.maximum(before, factor) if slot.contact else factor
+            factors[place] = jnp.where(volume > 0, larger, before)
     return factors
 
 
-def factor_of_cells(surface: AbstractSurface, features: Any, depth: Any, narrow: Any) -> float:
+def factor_of_cells(surface: AbstractSurface, features: Any, depth: Any, narrow: Any) -> Any:
     """The error that cells leave in a depth, relative to what cells twice as wide change, by the
     mean `features` of what wore the surface, its `depth` [m] and how `narrow` its scar is
     (`Check.WEAR_BY_CELLS`).
@@ -238,14 +256,14 @@ def factor_of_cells(surface: AbstractSurface, features: Any, depth: Any, narrow:
     one over each of its widths, of which fourth powers add up: those of the contact and of cells.
     Source: Roache 1994, J. Fluids Eng. 116, 405, doi:10.1115/1.2910291.
     """
-    resolved = 1 / 3 if narrow <= Check.WEAR_BY_CELLS.limit else 1.0
+    resolved = jnp.where(narrow <= Check.WEAR_BY_CELLS.limit, 1 / 3, 1.0)
     sizes = surface.cells_per_contact(features, surface.deepest(depth))
     by_cells, by_wider = (
-        math.prod((1.0 + (factor * float(x)) ** 4) ** -0.25 for x in sizes) for factor in (1, 2)
+        math.prod((1.0 + (factor * x) ** 4) ** -0.25 for x in sizes) for factor in (1, 2)
     )
     change = by_cells - by_wider
-    widened = (1.0 - by_cells) / change if change > 0 else 0.0
-    return max(3.0 if surface.flat else resolved, widened)
+    widened = jnp.where(change > 0, safe_divide(1.0 - by_cells, change), 0.0)
+    return jnp.maximum(3.0 if surface.flat else resolved, widened)
 
 
 def _estimate_error(value: Any, coarse: Any, *rest: Any) -> Any:

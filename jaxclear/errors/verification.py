@@ -59,8 +59,8 @@ def replica(integrator: AbstractIntegrator, times: Any, share: float) -> Replica
     finer = round(1 / share)
     if integrator.steps_between_saves is not None:
         return Replica(integrator, refine_times(times, finer), finer)
-    if integrator.asked_step() is not None:
-        step = concrete(integrator.asked_step())
+    if integrator.requested_step() is not None:
+        step = concrete(integrator.requested_step())
         if step is None:
             return None
         share = share * step_taken(times, step) / step
@@ -165,24 +165,25 @@ def _verification(
     coarse, counting = bounds.observe(run), integrator
     if coarse.standard.rooms is not None:
         counting = _counting(integrator, coarse.standard.rooms, coarse.standard.arm)
-    possible = [replica(counting, run.time, share) for share in (HALF, QUARTER)]
-    plans = [plan for plan in possible if plan is not None]
-    if len(plans) < len(possible):
-        return Unverified("its steps cannot be refined")
 
     def repeated(plan: Replica, moved: float = 0.0) -> Trajectory:
         return thin_run(again(plan, moved), plan.every)
 
+    plans: list[Replica] = []
     replicas: list[Trajectory] = []
     finer: list[Observed] = []
-    for plan in plans:
+    for share in (HALF, QUARTER):
+        plan = replica(counting, run.time, share)
+        if plan is None:
+            return Unverified("its steps cannot be refined")
+        plans.append(plan)
         replicas.append(repeated(plan))
         if not replicas[-1].succeeded:
             return Failed(replicas[-1].result)
         finer.append(bounds.observe(replicas[-1]))
         pairs = (bounds.differences(run, coarse, other, finer[-1]) for other in finer)
         rows = list(zip(*pairs, strict=True))
-        promised = np.array([_number(bounds.promised(row[-1])) for row in rows])
+        promised = np.array([_number(bounds.tolerance(row[-1])) for row in rows])
         shares = np.array([float(richardson([each.share for each in row])) for row in rows])
         if not np.any(~np.isnan(promised) & ~(shares <= DOUBT * promised)):
             break
@@ -266,7 +267,7 @@ def _find_chaotic(
     run and the same with its start `moved` are apart, in gaps by more than the `limit`."""
     other = bounds.observe(moved)
     differences = bounds.differences(run, finer, other, finer)
-    rows = [(row.share, bounds.promised(row)) for row in differences]
+    rows = [(row.share, bounds.tolerance(row)) for row in differences]
     chaotic = np.array([most is not None and share > most for share, most in rows])
     off = parted(finer.standard, other.standard)
     beyond = off > limit

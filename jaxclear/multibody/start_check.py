@@ -215,7 +215,7 @@ def determined(mechanism: Mechanism, start: Start) -> tuple[str, ...]:
     rest = [_most(start.residuals.get(name, np.inf)) for name in mechanism.topology.clearances]
     concentric = all(x <= CLOSED for x in rest)
     free = _free(mechanism, concentric, start.coordinates, jnp.asarray(_jolt(start)))
-    return tuple(name for name in mechanism.given["start"] if not free[name])
+    return tuple(name for name in mechanism.start_arguments["start"] if not free[name])
 
 
 @compiled_quickly

@@ -11,8 +11,16 @@ import jax
 import numpy as np
 
 from jaxclear.errors.accuracy import Bounds, bounds_of_run
-from jaxclear.errors.choice import Again, Chosen, Question, choose_setting, rungs_of
-from jaxclear.errors.estimates import HALF
+from jaxclear.errors.choice import (
+    Again,
+    Chosen,
+    Question,
+    choose_setting,
+    is_usual_cheap,
+    keeps_accuracy,
+    rungs_of,
+)
+from jaxclear.errors.estimates import HALF, Verified
 from jaxclear.errors.verification import Replica, verify_run
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_flags, check_number, expect
@@ -82,7 +90,7 @@ def _run_differentiable(mechanism, coordinates, speeds, times, integrator, extra
     runner: Any = run
     if is_compared(mechanism, integrator):
         finer = lambda share, *args: (*args[:4], in_other_steps(args[4], share, args[3]), *args[5:])
-        steps = lambda *args: (args[4].asked_step(), args[3])
+        steps = lambda *args: (args[4].requested_step(), args[3])
         runner = compared(run, finer, refuse_run, steps, order_of(mechanism, integrator))
     result = backwards(integrator)(runner, *inputs)
     visible = extras.report and integrator.steps_between_saves is None
@@ -195,10 +203,10 @@ def simulate(
         mechanism: the mechanism.
         duration: length of the run [s], > 0.
         integrator: one of `jaxclear.integrator`; by default `Adaptive()`.
-        accuracy: instead of `integrator`, which is then chosen by trial runs for the least work:
-            relative accuracy of positions, mean forces and losses [1], such as 0.01; or absolute
-            accuracies by the name of a quantity of `print(run)`, or by response, in its unit, a
-            dict.
+        accuracy: instead of `integrator`, which is then `Adaptive()`, or where that takes long or
+            is not as accurate, chosen by trial runs for the least work: relative accuracy of
+            positions, mean forces and losses [1], such as 0.01; or absolute accuracies by the name
+            of a quantity of `print(run)`, or by response, in its unit, a dict.
         save: number of equally spaced saving times, >= 2; or the times [s]; or a `Saving`, which
             keeps touches and releases too. Worn surfaces are updated as contacts move, and at
             these times.
@@ -222,15 +230,13 @@ def simulate(
     """
     how = How(save, state, balance, progress_bar, verify)
     _check_options(duration, how, throw)
-    bounds = None
     if accuracy is not None:
         check_one_of_two("simulate", integrator)
-        bounds = bounds_of_run(accuracy)
-        choice = chosen_for(mechanism, duration, bounds.observe, bounds.compare, how)
-        integrator, bounds = choice.integrator, bounds._replace(why=choice.why)
-        how = how._replace(verify=True if verify is None else verify)
-    integrator = Adaptive() if integrator is None else integrator
-    trajectory = _simulated(mechanism, duration, integrator, how, bounds)
+        bounds, how = bounds_of_run(accuracy), how._replace(verify=verify is not False)
+        trajectory = _simulated_to_accuracy(mechanism, duration, how, bounds)
+    else:
+        integrator = Adaptive() if integrator is None else integrator
+        trajectory = _simulated(mechanism, duration, integrator, how)
     if throw:
         _check_end(trajectory)
     return trajectory
@@ -287,7 +293,7 @@ def _simulated(
     saving = checked_saving(how.save, integrator)
     times = saving_times(duration, saving.at)
     state = State() if key is not None else state_of(how.state)
-    saved = on_host(state.begins) + on_host(times)
+    saved = on_host(state.start_time) + on_host(times)
 
     def steps() -> LoadSteps:
         check_steps(integrator, times)
@@ -295,7 +301,7 @@ def _simulated(
 
     def start_state() -> Beginning:
         formulation = integrator.formulation
-        return beginning(formulation.seen(mechanism), formulation, state)
+        return beginning(formulation.modelled(mechanism), formulation, state)
 
     of_times = None if key is None or is_traced(times) else (key, np.asarray(times).tobytes())
     steps_found = _get_or_compute(_STEPS, of_times, steps)
@@ -331,6 +337,43 @@ def _simulated(
     return dataclasses.replace(run, assembly_warnings=(doubt,)) if doubt else run
 
 
+# Whether a run by `Adaptive()` takes less than a choice, by the form of a mechanism and its times.
+_USUAL_IS_CHEAP: Latest[bool] = Latest(64)
+USUAL = "Run with integrator.Adaptive(): choosing another would take longer."
+
+
+def _simulated_to_accuracy(
+    mechanism: Mechanism, duration: float, how: How, bounds: Bounds
+) -> Trajectory:
+    """A run that keeps an accuracy: the usual one, where its companions find it to and a choice
+    would take longer; otherwise that of least work."""
+    question = _question(mechanism, duration, how, bounds.observe, bounds.compare)
+    usual, again = Adaptive(), repeated(mechanism, duration, how)
+
+    def is_cheap() -> bool:
+        try:
+            check_run(mechanism, usual)
+        except ValueError:
+            return False
+        return is_usual_cheap(mechanism, again, question)
+
+    def is_kept(run: Trajectory) -> bool:
+        if not isinstance(run.verification, Verified) or not run.verification.beyond:
+            return isinstance(run.verification, Verified)
+        # What updates and cells of worn surfaces leave no integrator mends.
+        finer = usual.with_finer_steps(HALF)
+        return bool(wearing_in(mechanism)) and keeps_accuracy(run, again(finer, 1.0), question)
+
+    key = _form(mechanism, usual), question.times.tobytes()
+    if how.verify and _get_or_compute(_USUAL_IS_CHEAP, key, is_cheap):
+        run = _simulated(mechanism, duration, usual, how, bounds._replace(why=USUAL))
+        if is_kept(run):
+            return run
+    choice = chosen_for(mechanism, duration, bounds.observe, bounds.compare, how)
+    told = bounds._replace(why=choice.why)
+    return _simulated(mechanism, duration, choice.integrator, how, told)
+
+
 def check_one_of_two(owner: str, integrator: Any) -> None:
     """Raises `ValueError` where an integrator is given beside an accuracy."""
     if integrator is not None:
@@ -349,6 +392,13 @@ def chosen_for(
 ) -> Chosen:
     """The integrator that keeps an accuracy at the least work, from runs; what is compared of
     these, and how far two are apart beside what is allowed, as in `errors.choice.Question`."""
+    question = _question(mechanism, duration, how, observe, compare)
+    rungs = rungs_of(mechanism, question.times, lambda integrator: check_run(mechanism, integrator))
+    return choose_setting(rungs, repeated(mechanism, duration, how), question)
+
+
+def _question(mechanism: Any, duration: Any, how: How, observe: Any, compare: Any) -> Question:
+    """What is compared of runs that choose. Raises `ValueError` for what is traced."""
     expect(mechanism, Mechanism, "what is simulated", "a jaxclear.Mechanism")
     if is_traced((mechanism, duration, how.state)):
         raise ValueError(
@@ -356,10 +406,7 @@ def chosen_for(
             "jax.jit, vmap or grad): give integrator=, such as one that was chosen before."
         )
     times = np.asarray(saving_times(duration, as_saving(how.save).at))
-    rungs = rungs_of(mechanism, times, lambda integrator: check_run(mechanism, integrator))
-    return choose_setting(
-        rungs, repeated(mechanism, duration, how), Question(observe, compare, times)
-    )
+    return Question(observe, compare, times)
 
 
 def repeated(mechanism: Mechanism, duration: float, how: How) -> Again:

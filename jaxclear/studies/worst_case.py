@@ -1,5 +1,5 @@
 """The worst that tolerances allow: `jaxclear.worst_case`, the extremes of a response over the box
-of all its variables, beside the bound of first order.
+of all its variables (the disc, of two that vary so), beside the bound of first order.
 
 From the corner to which the slopes at nominal point, and from the worst of all corners and of a few
 hundred points spread over the box, each extreme is climbed to by its gradient (L-BFGS-B). Where a
@@ -83,7 +83,8 @@ class WorstCase(AbstractAnswer):
         sentences = []
         for name in self.nominal:
             ends = f"{self.least[name].value:.4g} and {self.largest[name].value:.4g} {units[name]}"
-            sentences.append(f'"{name}" lies between {ends.removesuffix(" 1")} over the box.')
+            ends = ends.removesuffix(" 1")
+            sentences.append(f'"{name}" lies between {ends} within the tolerances.')
         return " ".join(sentences)
 
     def _stated(self):
@@ -279,9 +280,9 @@ class Search:
         at = int(np.sum((failures > 0) & (failures <= corners)))
         among = f", {at} of its {corners} corners among them," if corners else ""
         return (
-            f"{len(failures)} of {len(points)} points of the box{among} cannot be built or have no "
-            f"answer (the first of them: {why}). The least and the largest are those of the part "
-            "that has, and may lie on its edge.",
+            f"{len(failures)} of {len(points)} points within the tolerances{among} cannot be built "
+            f"or have no answer (the first of them: {why}). The least and the largest are those of "
+            "the part that has, and may lie on its edge.",
         )
 
     def _keep(self, points: np.ndarray, checks: Checks) -> None:

@@ -2,13 +2,17 @@
 question gets the same answer; and what cannot be asked gets a sentence."""
 
 import jax
+import numpy as np
 import pytest
 
 import jaxclear as jc
+from jaxclear.errors.choice import Chosen
+from jaxclear.simulation import simulate as simulating
 from tests.rigs.accuracy_asked import CASES, share_off, truth
 from tests.rigs.loaded_bearing import loaded_bearing
 
 ASKED = 0.01
+CHOICE = Chosen(jc.integrator.Adaptive(rtol=1e-9, atol=1e-11), "chosen", 0.5, 1, 1)
 LIGHT = ("loaded bearing", "ideal chain")
 
 
@@ -32,9 +36,29 @@ def test_a_run_is_as_accurate_as_was_asked(name):
     assert not run.warnings and not run.verification.beyond
 
 
+def test_no_choice_is_made_that_takes_longer_than_the_usual_run(monkeypatch):
+    case = CASES["slider-crank"]
+    usual = jc.simulate(case.make(), case.duration, save=case.saves, balance=True)
+    # What is known afterwards is that the usual run is cheap.
+    asked(case)
+    for name in ("choose_setting", "is_usual_cheap"):
+        monkeypatch.setattr(simulating, name, None)
+    run = asked(case)
+    np.testing.assert_array_equal(run.states, usual.states)
+    assert "Run with integrator.Adaptive()" in run.verification.why
+
+
+def test_a_usual_run_that_is_not_as_accurate_is_followed_by_a_choice(monkeypatch):
+    monkeypatch.setattr(simulating, "choose_setting", lambda *_: CHOICE)
+    case = CASES["ideal chain"]
+    run, loose = asked(case, 1e-12), asked(case, 1e-2)
+    assert run.verification.why == CHOICE.why
+    assert int(run.accepted_steps) > 1.5 * int(loose.accepted_steps)
+
+
 def test_what_is_promised_is_what_was_asked(bearing):
     _, run = bearing
-    promised = {told.part: told.promised for told in run.verification.entries}
+    promised = {told.part: told.tolerance for told in run.verification.entries}
     assert promised["places"] == promised["mean_force"] == promised["losses"] == ASKED
     assert promised["gaps"] is None and promised["peak_force"] is None
 
@@ -65,8 +89,8 @@ def test_numbers_in_units_are_asked_by_answer_or_response(bearing):
         assert abs(float(force(run) - force(exact))) <= 0.5
         assert not run.warnings
     told = by_answer.verification.entries
-    assert {each.answer for each in told if each.promised is not None} == {"mean contact force"}
-    assert by_response.verification.entries[-1].promised == pytest.approx(
+    assert {each.answer for each in told if each.tolerance is not None} == {"mean contact force"}
+    assert by_response.verification.entries[-1].tolerance == pytest.approx(
         0.5 / float(force(exact)), 0.1
     )
 

@@ -234,7 +234,9 @@ def test_what_cannot_be_built_is_counted_and_said():
     share = 0.5 * 0.02 * 0.02 / (0.04 * 0.02)
     assert len(found.failed) == pytest.approx(share * 1024, abs=0.03 * 1024)
     (said,) = found.warnings
-    assert said.startswith(f"{len(found.failed)} of 1029 points of the box, 1 of its 4 corners")
+    assert said.startswith(
+        f"{len(found.failed)} of 1029 points within the tolerances, 1 of its 4 corners"
+    )
     assert "cannot be built" in said and said in str(found)
     assert found.to_dataset().attrs["failed"] == len(found.failed)
     assert found.least["angle"].value == pytest.approx(0.0, abs=1e-2)

@@ -469,3 +469,47 @@ def test_a_limit_whose_error_crosses_its_bound_is_not_said_to_hold(plain):
     assert not vague.holds and not vague.limit_table()["holds"].any()
     assert "It is not known to hold: the mean + 3 standard deviations of gap" in vague.sentence()
     assert plain.holds and "not known to hold" not in plain.sentence()
+
+
+def _turned(a, b):
+    """a b^3, by a loop whose turns are counted by its numbers."""
+    more = lambda state: (state[0] + 1.0, state[1] * b)
+    return jax.lax.while_loop(lambda state: state[0] < 3.0, more, (0.0 * a, a))[1]
+
+
+# Slopes of a branch that is not taken.
+def _without_slopes(a, b):
+    return a + b + jnp.where(a > 5.0, jnp.sqrt(a - 5.0), 0.0)
+
+
+def _called(a, b):
+    shape = jax.ShapeDtypeStruct((), float)
+    return jax.pure_callback(lambda a, b: np.asarray(a + b), shape, a, b, vmap_method="sequential")
+
+
+def _designed_directly(function, bound):
+    problem = jc.FunctionProblem(function, {n: jc.Dimension(1.0, tolerance=0.1) for n in "ab"})
+    limit = jc.limit.MeanAndDeviation("response", at_most=bound)
+    free = dict.fromkeys("ab", (0.01, 0.3))
+    price = dict.fromkeys("ab", jc.cost.Reciprocal(1.0))
+    settings = jc.DesignSettings(surface=False, samples=64, rounds=2)
+    return jc.design(problem, price, limit, tolerance=free, settings=settings)
+
+
+@pytest.mark.parametrize(
+    ("function", "sentence"),
+    [
+        (_without_slopes, "deviations of response has no finite derivative by the tolerance"),
+        (_called, "goes by derivatives where there is no surface, and JAX has no derivative"),
+    ],
+)
+def test_a_design_without_a_surface_says_what_has_no_derivative(function, sentence):
+    """SciPy said that its arrays must not contain infs or NaNs, JAX that callbacks have none."""
+    with pytest.raises(ValueError, match=sentence):
+        _designed_directly(function, 2.1)
+
+
+def test_a_design_without_a_surface_takes_forward_derivatives_of_a_loop():
+    """To first order a b^3 varies by t_a + 3 t_b, so that with equal prices t_a = 9^(1/3) t_b."""
+    design = _designed_directly(_turned, 1.05)
+    assert design.tolerances["a"] / design.tolerances["b"] == pytest.approx(9 ** (1 / 3), rel=0.05)

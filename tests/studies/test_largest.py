@@ -41,6 +41,39 @@ def test_the_largest_value_is_below_the_closed_form_by_no_more_than_its_error(li
     assert answer.table()["holds"].sum() == sum(trial.excess <= 0 for trial in answer.trials)
 
 
+@pytest.mark.parametrize(
+    ("limit", "exact"),
+    [
+        (jc.limit.Quantile("error", at_most=np.exp(20), share=0.95), 20 - norm.ppf(0.95)),
+        pytest.param(
+            jc.limit.Probability("error", above=np.exp(20), at_most=0.03),
+            20 - norm.ppf(0.97),
+            marks=pytest.mark.slow,
+        ),
+        # Of a logarithmic normal number the mean is exp(mean + 1/2).
+        pytest.param(
+            jc.limit.MeanAndDeviation("error", at_most=np.exp(20), deviations=0),
+            19.5,
+            marks=pytest.mark.slow,
+        ),
+    ],
+    ids=["quantile", "probability", "mean"],
+)
+def test_the_largest_value_is_too_large_in_no_more_seeds_than_its_interval_says(limit, exact):
+    """An interval of 95 % leaves 2.5 % above: of 60 seeds at most 4, with 98 % (binomial). The
+    response is skewed, and its quantile is that of 13 samples or 8."""
+    normal = {
+        name: jc.Dimension(0.0, jc.distribution.Normal(s)) for name, s in (("a", 0.6), ("b", 0.8))
+    }
+    skewed = jc.FunctionProblem(lambda a, b: {"error": jnp.exp(a + b)}, normal)
+    values = [
+        jc.largest(skewed, "a", limit, (10.0, 20.0), accuracy=1e-3, seed=seed).value
+        for seed in range(60)
+    ]
+    assert np.sum(np.array(values) > exact) <= 4
+    assert np.median(values) > exact - 0.6
+
+
 def test_ends_of_the_range_and_runs_that_fail_are_said():
     limit = jc.limit.Quantile("error", at_most=140e-6, share=0.95)
     assert (

@@ -88,6 +88,7 @@ def test_screening_moves_the_numbers_of_a_variable_together():
 def test_the_worst_case_is_that_of_the_disc_and_not_of_its_box():
     found = jc.worst_case(problem(), sigmas=2.0)
     exact = R * np.hypot(*SLOPE) + 4.0 * SPREAD
+    assert "within the tolerances" in found.sentence() and "box" not in found.sentence()
     for end, sign in ((found.largest, 1), (found.least, -1)):
         np.testing.assert_allclose(end["error"].value, sign * exact, rtol=1e-9)
         np.testing.assert_allclose(end["error"].first_order, sign * exact, rtol=1e-9)

@@ -151,9 +151,15 @@ def _settings(settings: DesignSettings | None) -> DesignSettings:
 
 def _direct(problem: Problem, settings: DesignSettings) -> bool:
     """Whether the problem answers without a surface."""
+    refused, in_doubt = problem.description.derivative
+    if settings.surface is False and refused:
+        raise ValueError(
+            f"design goes by derivatives where there is no surface, and {refused}; leave "
+            "`surface` out of the DesignSettings, and a response surface has them."
+        )
     if settings.surface is not None:
         return not settings.surface
-    return problem.cost().cheap and not any(problem.description.derivative)
+    return problem.cost().cheap and not refused and not in_doubt
 
 
 def _runs(problem: Problem, settings: DesignSettings, show: bool) -> Runs:

@@ -11,11 +11,13 @@ others and beyond the `levels` that decide. Limits that ask for more than on whi
 levels parts lie are refused before anything is run.
 """
 
+import bisect
 from abc import abstractmethod
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jax.scipy.special import ndtr
 from jaxtyping import Array, Float
 
@@ -24,6 +26,8 @@ from jaxclear.ground.numerics import safe_sqrt
 from jaxclear.ground.printing import as_written
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity
 from jaxclear.studies.infinite_responses import check_within_horizon
+from jaxclear.studies.statistics import scrambled
+from jaxclear.studies.statistics.scrambled import Statistic
 
 # A quantile is a mean over values whose shares lie within so much of the one asked for, as a part
 # of it: without it, it would jump from one sample to the next as a design changes. For a normal
@@ -77,6 +81,18 @@ class AbstractLimit(AbstractQuantified):
         Returns:
             The excess in the response's unit, shape ().
         """
+
+    def estimate(self, values: np.ndarray, group: np.ndarray) -> Statistic:
+        """The limited number with its 95 % interval, of parts that count alike.
+
+        Args:
+            values: values of the response, shape (samples,), in its unit.
+            group: number of the independent scrambling of each, shape (samples,).
+
+        Returns:
+            A `jaxclear.Statistic`; of nan where samples do not tell it (a worst case).
+        """
+        return scrambled.UNKNOWN
 
     @abstractmethod
     def bound(self) -> Scalar:
@@ -272,6 +288,11 @@ class MeanAndDeviation(AbstractOneSidedLimit):
         beyond = side * self.deviations * deviation(sample.values, sample.weights)
         return mean(sample.values, sample.weights) + beyond
 
+    def estimate(self, values, group):
+        factor = float(self.deviations) * (1.0 if self.upper() else -1.0)
+        number = lambda values, group: values.mean() + factor * scrambled.deviation(values, group)
+        return scrambled.jackknifed(number, values, group, skewed=True, grouped=True)
+
     def rarest(self):
         return 0.5
 
@@ -305,6 +326,18 @@ class Quantile(AbstractOneSidedLimit):
         if self.upper():
             return quantile(sample.values, sample.weights, 1.0 - self.share)
         return -quantile(-sample.values, sample.weights, 1.0 - self.share)
+
+    def estimate(self, values, group):
+        if len(values) == 0:
+            return scrambled.UNKNOWN
+        # The end is the value that so many samples exceed as a `Probability` lets pass.
+        worst_first = np.argsort(-values if self.upper() else values)
+        places, rare = np.argsort(worst_first), self.rarest()
+        share = lambda count: scrambled.share(places < count, group).high
+        count = bisect.bisect_right(range(int(rare * len(values)) + 1), rare, key=share) - 1
+        value = scrambled.ordinary_quantile(values, 1.0 - rare if self.upper() else rare)
+        end = values[worst_first[count]] if count >= 0 else np.inf if self.upper() else -np.inf
+        return Statistic(value, *sorted((2.0 * value - float(end), float(end))))
 
     def rarest(self):
         return 1.0 - float(self.share)
@@ -361,6 +394,9 @@ class Probability(AbstractLimit):
 
     def number(self, sample):
         return share_above(self.beyond(sample.values), sample.weights, 0.0)
+
+    def estimate(self, values, group):
+        return scrambled.share(np.asarray(self.beyond(values)) > 0, group)
 
     def excess(self, sample):
         # At most p lie beyond 0 where the value that p exceed is at most 0, which is smooth.

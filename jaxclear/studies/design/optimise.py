@@ -58,11 +58,21 @@ class Search(NamedTuple):
 
     def evaluate(self, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Cost and excesses, (1 + limits,), and their slopes, (1 + limits, free). A limit whose
-        response is no number for some parts is wholly broken."""
+        response is no number for some parts is wholly broken. Raises `ValueError` where there is a
+        number without a slope."""
         values, slopes = linearise(self.question, self.model, self.points, jnp.asarray(place))
         values, slopes = np.array(values), np.array(slopes)
         values[1:] += self.shift
         is_missing = np.isnan(values)
+        without_slope = np.argwhere(~np.isfinite(slopes) & ~is_missing[:, None])
+        if len(without_slope):
+            words = ["cost", *(limit.words() for limit in self.question.limits)]
+            which = " or the ".join(words[row] for row in np.unique(without_slope[:, 0]))
+            number = self.question.freedom.label(without_slope[0, 1])
+            raise ValueError(
+                f"the {which} has no finite derivative by the {number}: write its function so that "
+                "it has one, or let a response surface stand in, DesignSettings(surface=True)."
+            )
         values[is_missing], slopes[is_missing] = WHOLLY, 0.0
         return values, slopes
 
@@ -75,7 +85,11 @@ def linearise(question: Question, model: AbstractModel, points: Points, place: A
         values = jnp.append(question.price(at), question.excesses(at, model, points))
         return values, values
 
-    slopes, values = jax.jacrev(both, has_aux=True)(place)
+    try:
+        slopes, values = jax.jacrev(both, has_aux=True)(place)
+    except ValueError:
+        # Loops whose number of turns depends on values have forward derivatives only.
+        slopes, values = jax.jacfwd(both, has_aux=True)(place)
     return values, slopes
 
 

@@ -251,7 +251,8 @@ class Question(eqx.Module):
         if not limit.extreme():
             return jnp.zeros(2)
         nominal, tolerance = self.freedom.decoded(place)
-        value, slope = jax.value_and_grad(lambda x: self.one(limit, x, model))(nominal)
+        slope = jax.jacfwd(lambda x: self.one(limit, x, model))(nominal)
+        value = self.one(limit, nominal, model)
         reach = jnp.sum(jnp.abs(slope) * tolerance)
         return jnp.stack([value - reach, value + reach])
 
@@ -263,7 +264,7 @@ class Question(eqx.Module):
     def corner(self, limit: AbstractLimit, place: np.ndarray, model: AbstractModel) -> np.ndarray:
         """Values (variables,) of the worst case of a limit, by the slopes of a model."""
         nominal, tolerance = self.freedom.decoded(jnp.asarray(place))
-        slope = jax.grad(lambda x: self.one(limit, x, model))(nominal)
+        slope = jax.jacfwd(lambda x: self.one(limit, x, model))(nominal)
         side = 1.0 if limit.upper() else -1.0
         return np.asarray(nominal + side * jnp.sign(slope) * tolerance)
 
@@ -286,7 +287,7 @@ def checked_cost(cost: Any, freedom: Freedom) -> Cost:
         check_name("variable", name, freedom.names, " in this problem")
         expect(term, AbstractCost, f'cost of "{name}"', "one of jaxclear.cost, such as Reciprocal")
         choice = free.get(freedom.names.index(name))
-        low, high = term.known()
+        low, high = term.tolerance_range()
         if choice is not None and not low <= choice.low < choice.high <= high:
             raise ValueError(
                 f'cost of "{name}" is known for tolerances from {low:g} to {high:g}, and its '

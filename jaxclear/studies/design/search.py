@@ -308,6 +308,6 @@ def _worst(
         length = jnp.linalg.norm(slope)
         return distance * slope / jnp.where(length > 0, length, 1.0)
 
-    slope = jax.grad(bad)
+    slope = jax.jacfwd(bad)
     start = outward(slope(jnp.zeros(len(question.freedom.names))))
     return jax.lax.fori_loop(0, FIXED_POINTS, lambda i, point: outward(slope(point)), start)
