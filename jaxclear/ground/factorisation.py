@@ -201,14 +201,14 @@ def placed(entries: dict[tuple[int, int], Any], shape: tuple[int, int]) -> jnp.n
         return jnp.asarray(constants)
     if shape[1] >= MANY_COLUMNS:
         # XLA compiles what is looked up faster than what is put into place.
-        constants = [0.0, *{float(x) for x in values if isinstance(x, (int, float))}]
+        numbers = [0.0, *{float(x) for x in values if isinstance(x, (int, float))}]
         others = [x for x in values if not isinstance(x, (int, float))]
-        further = itertools.count(len(constants))
+        further = itertools.count(len(numbers))
         looked_up = np.zeros(shape, np.int32)
         looked_up[i, j] = [
-            constants.index(x) if isinstance(x, (int, float)) else next(further) for x in values
+            numbers.index(x) if isinstance(x, (int, float)) else next(further) for x in values
         ]
-        return jnp.concatenate([jnp.array(constants), sp.stack(others)])[looked_up]
+        return jnp.concatenate([jnp.array(numbers), sp.stack(others)])[looked_up]
     return jnp.zeros(shape).at[i, j].set(sp.stack(values), unique_indices=True)
 
 

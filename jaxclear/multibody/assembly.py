@@ -262,7 +262,7 @@ def _find_start(
     return _solved(problem, q, v, 0.0, is_drawn=is_drawn), seed, problem.arm
 
 
-def _judged(mechanism: Mechanism, *rest: Any) -> Judged:
+def _judged(mechanism: Any, *rest: Any) -> Judged:
     """The start to which a search leads, judged where its numbers are."""
     start, *place = _find_start(mechanism, *rest)
     return Judged(start, is_sound(mechanism, start), *place)
