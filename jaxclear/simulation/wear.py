@@ -167,13 +167,13 @@ def _facing_others(
     """(map of a surface, location features of its events) beside what the other surfaces of its
     joint have lost in the mean."""
     maps = wear_maps(system)[joint]
-    lost: Any = 0.0
+    loss: Any = 0.0
     for other, (other_map, _) in maps.items():
         if other != surface:
             areas = other_map.areas()
-            lost = lost + jnp.sum(worn[joint][other] * areas) / jnp.sum(areas)
+            loss = loss + jnp.sum(worn[joint][other] * areas) / jnp.sum(areas)
     wear_map = maps[surface][0]
-    return (wear_map, places) if len(maps) == 1 else wear_map.facing(lost, places)
+    return (wear_map, places) if len(maps) == 1 else wear_map.facing(loss, places)
 
 
 def longest_path(system: System, losses: Losses) -> Array:
