@@ -67,8 +67,8 @@ class Contact(NamedTuple):
     """A part that takes a `volume` [m3] off a surface. What its load overlaps on a wall without
     wear: the integrals of that `overlap` [m3] over all of its way, and of its `root` [m2.5] over
     the contact; how deep it would sink into that wall once the volume is lost (`deepest`) [m];
-    where it is in the mean, in units of cells (`column`, `row`), and what else the surface's metric tells
-    of its `place`."""
+    where it is in the mean, in units of cells (`column`, `row`), and what else the surface's metric
+    tells of its `place`."""
 
     volume: Scalar
     overlap: Scalar
