@@ -60,6 +60,7 @@ class CylinderMap(AbstractRound):
     """
 
     axes: ClassVar = 2
+    width: ClassVar = (3, -1.0)
     radius: Scalar = quantity(unit="m", meaning="radius of the wall", above=0)
     length: Scalar = quantity(unit="m", meaning="length of the wall", above=0)
     clearance: Scalar = quantity(unit="m", meaning="radial clearance in it", above=0)

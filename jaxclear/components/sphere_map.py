@@ -159,6 +159,7 @@ class SphereMap(AbstractRound):
     """
 
     axes: ClassVar = 3
+    width: ClassVar = (8, -2.0)
     extent: ClassVar = math.pi
     radius: Scalar = quantity(unit="m", meaning="radius of the socket", above=0)
     clearance: Scalar = quantity(unit="m", meaning="radial clearance in it", above=0)

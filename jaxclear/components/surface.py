@@ -18,6 +18,7 @@ pressure is that after the loss, so a loss brings the wall at most to the shape 
 cut it. Where a contact is narrower than two cells, the loss is that of one as wide as these.
 """
 
+import dataclasses
 import functools
 import math
 from abc import abstractmethod
@@ -36,6 +37,7 @@ from jaxclear.ground.numerics import (
     arc_sine,
     direction_angle,
     positive_part,
+    power,
     safe_divide,
     safe_sqrt,
 )
@@ -428,8 +430,18 @@ class AbstractRound(AbstractSurface):
 
     # How many of the features are the mean direction.
     axes: ClassVar[int]
+    # Which one is a power of the contact's half width, and which [1].
+    width: ClassVar[tuple[int, float]]
     radius: eqx.AbstractVar[Scalar]
     clearance: eqx.AbstractVar[Scalar]
+
+    def facing(self, lost, features):
+        # Thinner all round, as what turns against its load becomes.
+        clearance, (index, exponent) = self.clearance + lost, self.width
+        # The square of a half width is inversely as the clearance.
+        factors = [1.0] * features.shape[-1]
+        factors[index] = power(clearance / self.clearance, jnp.asarray(-0.5 * exponent))
+        return dataclasses.replace(self, clearance=clearance), features * jnp.stack(factors)
 
     @property
     @abstractmethod

@@ -30,7 +30,7 @@ from jaxclear.studies.life.cycle import (
     worst_of,
 )
 from jaxclear.studies.life.settling import Patience, Settling, settle
-from jaxclear.studies.life.steps import Cells, CycleFailed, Losses, Rate
+from jaxclear.studies.life.steps import Cells, CycleFailed, Job, Rate
 from jaxclear.studies.problem import Problem
 from jaxclear.studies.store.batch import as_arrays, as_tree
 from jaxclear.studies.store.digest import in_texts
@@ -40,6 +40,8 @@ from jaxclear.studies.store.store import CURRENT, compute_address
 NARROW = (Check.WEAR_BY_CELLS,)
 # So many times the way between two surfaces a line is carried on at the most.
 FURTHEST = 4.0
+# Numbers in a vector register of the widest, and cycles of a job: fewer compile no program anew.
+LANES, LEAST_CYCLES = 8, 4
 
 
 class Rates:
@@ -53,7 +55,7 @@ class Rates:
         self.cells = _cells(problem, self.worn)
         self.count = len(depth)
         self.first_row = np.concatenate([depth, np.zeros(len(self.cells.surfaces))])
-        modelled = problem.integrator.formulation.seen(problem.mechanism)
+        modelled = problem.integrator.formulation.modelled(problem.mechanism)
         self.units = units_of_coordinates(modelled)
         self.places: list[Place] = []
         self.settlings: list[Settling] = []
@@ -94,22 +96,43 @@ class Rates:
                         f"{float(worn_depth.max()):.4g} m deep, of a radius of {thickness:.4g} m."
                     )
 
-    def carry(self, row: np.ndarray, losses: Losses, parts: int) -> np.ndarray:
-        """What is left of these depths by so many cycles of each of some rates, in so many `parts`
-        (`worn_by_cycles`)."""
+    def carry(self, jobs: Sequence[Job]) -> list[np.ndarray]:
+        """Of each job what is left of its depths by its losses (`worn_by_cycles`). Several are worn
+        in the lanes of one kernel, which take little longer than two of them alone."""
+        if len(jobs) == 2:
+            return [row for job in jobs for row in self.carry([job])]
         cycles = [
-            (length / len(rate.settled.taken), one.losses)
-            for length, rate in losses
-            for one in rate.settled.taken
+            [
+                (length / len(rate.settled.taken), one.losses)
+                for length, rate in job.losses
+                for one in rate.settled.taken
+            ]
+            for job in jobs
         ]
-        # One program for many numbers of cycles.
-        cycles += [(0.0, cycles[0][1])] * (2 ** (len(cycles) - 1).bit_length() - len(cycles))
-        lengths = np.array([length for length, _ in cycles])
-        stacked = jax.tree.map(lambda *rows: np.stack(rows), *(loss for _, loss in cycles))
-        arguments = self.unflat(row[: self.count]), stacked, lengths, np.asarray(parts)
-        worn = worn_by_cycles(self.request, *arguments)
-        means: Any = sum(length * self.cells.means(rate.wear) for length, rate in losses)
-        return np.concatenate([flattened(worn)[0], self.cells.means(row) + means])
+        # One program for many numbers of jobs and of cycles.
+        count = max(map(len, cycles))
+        padding = max(2 ** (count - 1).bit_length(), LEAST_CYCLES)
+        cycles = [some + [(0.0, some[0][1])] * (padding - len(some)) for some in cycles]
+        parts = [job.parts for job in jobs]
+        rows = [self.unflat(job.row[: self.count]) for job in jobs]
+        spare = -len(jobs) % LANES if len(jobs) > 1 else 0
+        stacked = stack([stack([loss for _, loss in some]) for some in cycles + cycles[:1] * spare])
+        lengths = np.array([[length for length, _ in some] for some in cycles + cycles[:1] * spare])
+        worn = worn_by_cycles(
+            self.request,
+            stack(rows + rows[:1] * spare),
+            stacked,
+            lengths,
+            np.array(parts + [0] * spare),
+            np.asarray(count),
+        )
+        worn = jax.tree.map(np.asarray, worn)
+        results = []
+        for i, job in enumerate(jobs):
+            depth = flattened(jax.tree.map(lambda maps, i=i: maps[i], worn))[0]
+            means: Any = sum(length * self.cells.means(rate.wear) for length, rate in job.losses)
+            results.append(np.concatenate([depth, self.cells.means(job.row) + means]))
+        return results
 
     def halves(self, rate: Rate) -> tuple[Rate, Rate] | None:
         """Of a mean over cycles two rates, by the former and the latter half of these, by
@@ -149,6 +172,11 @@ class Rates:
             return compute()
         address = compute_address(self.question, flattened((motion, worn))[0])
         return store.obtain(address, lambda: as_tree(self.kind, store.load(address)), compute, True)
+
+
+def stack(trees: Sequence[Any]) -> Any:
+    """Trees of arrays with an axis in front."""
+    return jax.tree.map(lambda *each: np.stack(each), *trees)
 
 
 def flattened(tree: Any) -> tuple[np.ndarray, Any]:
