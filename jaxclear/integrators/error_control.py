@@ -524,10 +524,10 @@ class TakingImpactSpeeds(
         # Flanks of play by how they count since the step began.
         end_motion = after
         if self.motion.sided:
-            end_motion = constant(self.motion.seen(args[0], t1, y1, step.shares))
+            end_motion = constant(self.motion.observe(args[0], t1, y1, step.shares))
         length, half = t1 - t0, 0.5 * (t0 + t1)
         path = self.interpolation_cls(t0=t0, t1=t1, **constant(dense))
-        middle = self.motion.seen(args[0], half, path.evaluate(half), step.shares)
+        middle = self.motion.observe(args[0], half, path.evaluate(half), step.shares)
         passage = Passage(*constant((before, middle, end_motion)))
         remembering = self.remember(y1, before, after, length, args)
         if events is not None:

@@ -236,7 +236,7 @@ class FixedStep(AbstractIntegrator):
                 "in contact make the number of steps depend on the motion."
             )
 
-    def asked_step(self):
+    def requested_step(self):
         return self.step if self.steps_per_save is None else None
 
     def evaluations(self, mechanism):
@@ -244,7 +244,7 @@ class FixedStep(AbstractIntegrator):
         return len((chain or munthe_kaas.stages(ON_GROUPS[self.method]))[0])
 
     def shortest_step(self):
-        step = self.asked_step()
+        step = self.requested_step()
         return step if step is None or self.contact_steps is None else step / self.contact_steps
 
     @property

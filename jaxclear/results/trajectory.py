@@ -15,7 +15,6 @@ from jaxtyping import Array, Float, Int
 
 from jaxclear.components.body import Marker
 from jaxclear.formulations.base import AbstractFormulation
-from jaxclear.ground.argument_errors import Renamed
 from jaxclear.ground.arguments import check_count, check_flags, check_name, expect
 from jaxclear.ground.datasets import write_csv
 from jaxclear.ground.printing import AbstractShown
@@ -151,7 +150,6 @@ class Trajectory(AbstractShown):
     verification: AbstractVerification = eqx.field(default_factory=Unverified)
     assembly_warnings: tuple[str, ...] = eqx.field(static=True, default=())
     singular_positions: tuple[SingularPosition, ...] = ()
-    doubts = Renamed("assembly_warnings")
 
     def __getitem__(self, index: int) -> "Trajectory":
         """One run of a batch that `jax.vmap` has made.

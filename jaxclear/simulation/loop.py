@@ -169,7 +169,7 @@ def run(
         last, saved = _from_save_to_save(turn, first, spans, counted, updates)
     if _sweeps_outside_kernels(model, integrator, first.warm_start):
         last, saved = forwards_only(NOT_THROUGH_SWEEPS, (last, saved))
-    states = integrator.known_states(viewed, times, saved.states, last.state, last.warm_start)
+    states = integrator.check_derivatives(viewed, times, saved.states, last.state, last.warm_start)
     history = StateHistory(mechanism, formulation, times, states, saved.read, extras.balance)
     stats, noted = RunStats(*last.steps, verdict(last.outcome)), saved.noted
     if noted is not None:
@@ -206,7 +206,7 @@ def first_turn(
     formulation = integrator.formulation
     mechanism = stabilised_as_needed(mechanism, integrator.opens_loops)
     if loads_to_settle(mechanism) and not formulation.forces_are_means:
-        system, step = model_of(mechanism, formulation).system, integrator.asked_step()
+        system, step = model_of(mechanism, formulation).system, integrator.requested_step()
         if integrator.steps_between_saves is not None:
             step = jnp.max(jnp.diff(times)) / integrator.steps_between_saves
         motion = unpack_motion(system, jnp.concatenate([coordinates, speeds]))
@@ -319,7 +319,7 @@ class Turn:
     """One turn of the loop, from a saving time to the next, as a function of (`Carry`, `Span`)."""
 
     def __init__(self, model: Model, integrator: AbstractIntegrator, report: bool):
-        self.model, self.report, self.step = model, report, integrator.asked_step()
+        self.model, self.report, self.step = model, report, integrator.requested_step()
         self.breaks = integrator.breaks
         self.arrays, rest = packed((model, integrator))
 

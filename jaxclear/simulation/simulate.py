@@ -90,7 +90,7 @@ def _run_differentiable(mechanism, coordinates, speeds, times, integrator, extra
     runner: Any = run
     if is_compared(mechanism, integrator):
         finer = lambda share, *args: (*args[:4], in_other_steps(args[4], share, args[3]), *args[5:])
-        steps = lambda *args: (args[4].asked_step(), args[3])
+        steps = lambda *args: (args[4].requested_step(), args[3])
         runner = compared(run, finer, refuse_run, steps, order_of(mechanism, integrator))
     result = backwards(integrator)(runner, *inputs)
     visible = extras.report and integrator.steps_between_saves is None
@@ -293,7 +293,7 @@ def _simulated(
     saving = checked_saving(how.save, integrator)
     times = saving_times(duration, saving.at)
     state = State() if key is not None else state_of(how.state)
-    saved = on_host(state.begins) + on_host(times)
+    saved = on_host(state.start_time) + on_host(times)
 
     def steps() -> LoadSteps:
         check_steps(integrator, times)
@@ -301,7 +301,7 @@ def _simulated(
 
     def start_state() -> Beginning:
         formulation = integrator.formulation
-        return beginning(formulation.seen(mechanism), formulation, state)
+        return beginning(formulation.modelled(mechanism), formulation, state)
 
     of_times = None if key is None or is_traced(times) else (key, np.asarray(times).tobytes())
     steps_found = _get_or_compute(_STEPS, of_times, steps)

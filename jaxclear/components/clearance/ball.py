@@ -136,7 +136,7 @@ class PermanentSpherical(AbstractRubbingBall):
         return self.gap.ball_radius
 
     @property
-    def goes_round(self):
+    def has_moving_centre(self):
         return True
 
     @property

@@ -283,7 +283,7 @@ class PermanentRevolute(AbstractPermanentJoint):
         return self.gap.bearing_radius - self.gap.clearance
 
     @property
-    def goes_round(self):
+    def has_moving_centre(self):
         return True
 
     def friction_wrench(self, friction):

@@ -55,7 +55,7 @@ class Rates:
         self.cells = _cells(problem, self.worn)
         self.count = len(depth)
         self.first_row = np.concatenate([depth, np.zeros(len(self.cells.surfaces))])
-        modelled = problem.integrator.formulation.seen(problem.mechanism)
+        modelled = problem.integrator.formulation.modelled(problem.mechanism)
         self.units = units_of_coordinates(modelled)
         self.places: list[Place] = []
         self.settlings: list[Settling] = []
