@@ -354,8 +354,8 @@ def arrived(
     """The answer of steps that are never rejected; `peaks`: the largest depths and forces on the
     way, `watch`: the events, and what couplings have transmitted."""
     outcome = jnp.where(jnp.all(jnp.isfinite(end)), Outcome.REACHED, Outcome.NOT_FINITE)
-    found = () if watch is None else (watch.events, watch.transmitted)
-    return Advance(end, steps, jnp.zeros_like(steps), warm_start, outcome, peaks, *found)
+    extras = () if watch is None else (watch.events, watch.transmitted)
+    return Advance(end, steps, jnp.zeros_like(steps), warm_start, outcome, peaks, *extras)
 
 
 def searching_steps(

@@ -389,7 +389,7 @@ class Judged(NamedTuple):
     """What a step tells its controller: its error, and what the contacts did in it."""
 
     error: Any
-    passed: Passage
+    passage: Passage
 
 
 class EndingAtTouches(diffrax.AbstractAdaptiveStepSizeController):
@@ -433,7 +433,7 @@ class EndingAtTouches(diffrax.AbstractAdaptiveStepSizeController):
         )
         least, length = self.controller.dtmin, t1 - t0
         # Where time does not tell the two ends apart the step is as good as any.
-        share = end_at_passage(*y_error.passed, length, self.beyond, least)
+        share = end_at_passage(*y_error.passage, length, self.beyond, least)
         again = (share < 1) & (keep | (share * length < stop - t0))
         choose = lambda yes, no: jax.tree.map(lambda a, b: jnp.where(again, a, b), yes, no)
         return (

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NoReturn
 
 import equinox as eqx
+import jax
 import numpy as np
 from jaxtyping import Array, Float, Int
 
@@ -23,6 +24,7 @@ from jaxclear.integrators.checks import Checks, Outcome
 from jaxclear.integrators.events import Events
 from jaxclear.multibody import state
 from jaxclear.multibody.mechanism import Mechanism
+from jaxclear.multibody.transmissions import between_worn_flanks
 from jaxclear.native import explain
 from jaxclear.results import beams, export, histories, modes, transmissions
 from jaxclear.results.histories import (
@@ -326,7 +328,11 @@ class Trajectory(AbstractShown):
                 f"the run ended at {float(self.ended):.6g} s, before the saving time at "
                 f"{float(self.time[index]):.6g} s."
             )
-        layout, names, row = self.history.layout(), self.state_names(), self.states[index]
+        model, names = self.history.model(), self.state_names()
+        # Surfaces have worn by what was lost until then, and shafts lie on flanks.
+        read = jax.tree.map(lambda rows: rows[index], self.history.read)
+        layout, worn = model.layout, (read, self.worn)
+        row = between_worn_flanks(model.system, layout, worn, self.states[index])
         first, middle, memory = layout.coordinates, layout.memory_start, layout.remembered
         parts = row[:first], row[first:middle], row[memory]
         labels = tuple(names[:middle]), tuple(names[memory]), self.mechanism.topology.redundancy

@@ -315,7 +315,7 @@ class WearLife(AbstractAnswer):
             )
         if self.error > self.accuracy:
             text += f" That is more than the {100 * self.accuracy:.2g} % asked for"
-            text += "; with a larger `most` noise is less." if restless else "."
+            text += "; with a larger `max_cycles` noise is less." if restless else "."
         by_saves = float(self.by_saves.max())
         if by_saves > self.accuracy:
             text += (
