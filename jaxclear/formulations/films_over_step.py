@@ -123,7 +123,7 @@ def without_films(model: Model) -> Model:
 
 
 def films_over_step(
-    system: System, middle: MiddleOfStep, past: tuple, start: Any, averaging: Averaging
+    system: System, middle: MiddleOfStep, past: list, start: Any, averaging: Averaging
 ) -> tuple[FilmOverStep, ...]:
     """The films over a step from a time `start` [s]; `past`: mean velocities of their journals in
     the step before."""
