@@ -95,7 +95,7 @@ def with_slopes(asked: jc.Problem, count: int | str, discrete: bool) -> Callable
     def function(numbers, values):
         whole = eqx.combine(numbers, rest)
 
-        seen = whole.integrator.formulation.seen(whole.mechanism)
+        seen = whole.integrator.formulation.modelled(whole.mechanism)
         checked = is_compared(seen, whole.integrator)
 
         def answer(v):

@@ -68,12 +68,12 @@ class AbstractWearMap(AbstractQuantified):
 
     cells: eqx.AbstractVar[tuple[int, int]]
 
-    def facing(self, lost: Any, features: Array) -> tuple["AbstractWearMap", Array]:
+    def facing(self, loss: Any, features: Array) -> tuple["AbstractWearMap", Array]:
         """What a loss is put on where the other part has become thinner; as it is unless
         overridden.
 
         Args:
-            lost: mean depth that the other part has lost [m].
+            loss: mean depth that the other part has lost [m].
             features: location features of each event, an array (events, n).
 
         Returns:

@@ -69,7 +69,7 @@ class Bounds(NamedTuple):
         share = getattr(self.promise, row.part, None)
         return None if share is None else share * row.scale
 
-    def promised(self, row: Difference) -> float | None:
+    def tolerance(self, row: Difference) -> float | None:
         """The same as a share; None of what is 0 throughout, too."""
         most = self.allowed(row)
         return most / row.scale if most is not None and row.scale > 0 else None

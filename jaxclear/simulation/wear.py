@@ -105,16 +105,8 @@ def worn_by(system: System, worn: Worn, losses: Losses) -> Worn:
             for (joint, surface), (volumes, _) in losses.items()
         }
 
-        def turn(now, losses):
-            worn, pressures = now
-            worn, pressures = {name: dict(m) for name, m in worn.items()}, dict(pressures)
-            for (joint, surface), event in losses.items():
-                wear_map, places = _facing_others(system, worn, joint, surface, event[1])
-                inputs = worn[joint][surface], None, pressures[joint, surface]
-                result = wear_map.deposit_in_turn(*inputs, event[0], places)
-                worn[joint][surface], _, pressures[joint, surface] = result
-            return (worn, pressures), ()
-
+        read = jax.tree.map(lambda _: None, worn)
+        turn = lambda now, losses: (_wear_in_turn(system, (now[0], read, now[1]), losses)[::2], ())
         return scan(turn, (worn, spare), losses, long=True)[0][0]
     numbers, rest = eqx.partition(system, eqx.is_array)
 
@@ -167,13 +159,13 @@ def _facing_others(
     """(map of a surface, location features of its events) beside what the other surfaces of its
     joint have lost in the mean."""
     maps = wear_maps(system)[joint]
-    lost: Any = 0.0
+    loss: Any = 0.0
     for other, (other_map, _) in maps.items():
         if other != surface:
             areas = other_map.areas()
-            lost = lost + jnp.sum(worn[joint][other] * areas) / jnp.sum(areas)
+            loss = loss + jnp.sum(worn[joint][other] * areas) / jnp.sum(areas)
     wear_map = maps[surface][0]
-    return (wear_map, places) if len(maps) == 1 else wear_map.facing(lost, places)
+    return (wear_map, places) if len(maps) == 1 else wear_map.facing(loss, places)
 
 
 def longest_path(system: System, losses: Losses) -> Array:
@@ -216,14 +208,20 @@ def worn_so_far(
     """
     worn, read, before = now
     events, reached = pending_losses(layout, before.since, state, wears)
-    worn, read = ({name: dict(m) for name, m in each.items()} for each in (worn, read))
-    pressures = dict(before.pressures)
-    for (joint, surface), (volumes, places) in events.items():
+    worn, read, pressures = _wear_in_turn(system, (worn, read, before.pressures), events)
+    return worn, read, Pending(reached, pressures)
+
+
+def _wear_in_turn(system: System, now: tuple[Worn, Any, Any], losses: Losses) -> tuple:
+    """(depth maps, as gaps read them, pressures) after these losses, cell by cell."""
+    worn, read = ({name: dict(m) for name, m in part.items()} for part in now[:2])
+    pressures = dict(now[2])
+    for (joint, surface), (volumes, places) in losses.items():
         wear_map, places = _facing_others(system, worn, joint, surface, places)
         inputs = worn[joint][surface], read[joint][surface], pressures[joint, surface]
         result = wear_map.deposit_in_turn(*inputs, volumes, places)
         worn[joint][surface], read[joint][surface], pressures[joint, surface] = result
-    return worn, read, Pending(reached, pressures)
+    return worn, read, pressures
 
 
 def pending_losses(

@@ -20,13 +20,10 @@ import numpy as np
 import scipy
 from jax.scipy.special import ndtr
 
-from jaxclear.studies.identification.forward import (
-    Forward,
-    Record,
-    answered,
-    check_signals,
-)
+from jaxclear.studies.identification.forward import Forward, Record, check_signals
 from jaxclear.studies.identification.least_squares import Optimum, optima, starts_of
+from jaxclear.studies.infinite_responses import successes
+from jaxclear.studies.store.batch import evaluate_all
 
 # A noise is known to within this share of it: its power, and what is left of a record, to twice.
 NOISE_TOLERANCE = 0.2
@@ -280,11 +277,13 @@ def _make_fit(
         for i, name in enumerate(problem.names)
     }
     answers = {}
-    if problem.response_names:
+    if forward.asked.response_names:
         prior = problem.inputs.values(rng.standard_normal((draws, values.shape[1])))
         both = np.concatenate([values[:draws], prior])
         runs += len(both)
-        for name, response in answered(forward, both)[1].items():
+        result = evaluate_all(forward.asked, both)
+        responses = successes(forward.asked, result.outcome, result.responses)[1]
+        for name, response in responses.items():
             after, before = (part[np.isfinite(part)] for part in np.split(response, [-draws]))
             ends = (*np.quantile(after, (0.5, *ENDS)), after.std(), *np.quantile(before, ENDS))
             answers[name] = CredibleInterval(*map(float, ends))

@@ -114,7 +114,7 @@ def cycle_request(problem: Problem, values: Any) -> Request:
     """What a cycle needs, with the problem's variables at these values."""
     times = problem.shares * problem.duration
     return Request(
-        ungiven(problem.seen(problem.setting(values))), problem.integrator, problem.response, times
+        ungiven(problem.model(problem.setting(values))), problem.integrator, problem.response, times
     )
 
 
@@ -213,7 +213,7 @@ def first_state(problem: Problem, values: Any) -> tuple[SavedMotion, Worn]:
     formulation = problem.integrator.formulation
     mechanism = problem.with_values(values)
     check_values("this mechanism", mechanism)
-    mechanism = formulation.seen(mechanism)
+    mechanism = formulation.modelled(mechanism)
     mechanism, start, past, _ = beginning(mechanism, formulation, problem.state)
     if not problem.keeps_mode(mechanism, start):
         raise ValueError(Outcome.OTHER_MODE.sentence)
@@ -221,7 +221,7 @@ def first_state(problem: Problem, values: Any) -> tuple[SavedMotion, Worn]:
     layout = model.layout
     rest = jnp.zeros(layout.size - layout.memory_start)
     state = jnp.concatenate([start.coordinates, start.speeds, rest])
-    time = jnp.asarray(problem.state.begins, float)
+    time = jnp.asarray(problem.state.start_time, float)
     state = closure_coordinates.started(mechanism, model.system, layout, time, state)
     remembered = state[layout.remembered] if past.remembered is None else past.remembered
     named = names(model.system, layout)
@@ -257,7 +257,7 @@ def as_problem(
         raise ValueError(f"{owner} of a mechanism needs its period [s]: how long one cycle takes.")
     check_number(f"period of {owner}", period, "s", above=0)
     # Before a problem looks for its integrator by runs, which are long where cycles are meant.
-    begins = float(state.begins) if isinstance(state, State) else 0.0
+    begins = float(state.start_time) if isinstance(state, State) else 0.0
     check_period(owner, subject, begins, float(period), cycles)
     warn_of_several(owner, subject, begins, float(period))
     return Problem(subject, usual_responses(subject), {}, duration=period, state=state)

@@ -55,7 +55,7 @@ class Rates:
         self.cells = _cells(problem, self.worn)
         self.count = len(depth)
         self.first_row = np.concatenate([depth, np.zeros(len(self.cells.surfaces))])
-        modelled = problem.integrator.formulation.seen(problem.mechanism)
+        modelled = problem.integrator.formulation.modelled(problem.mechanism)
         self.units = units_of_coordinates(modelled)
         self.places: list[Place] = []
         self.settlings: list[Settling] = []
@@ -101,38 +101,32 @@ class Rates:
         in the lanes of one kernel, which take little longer than two of them alone."""
         if len(jobs) == 2:
             return [row for job in jobs for row in self.carry([job])]
+        # One program for many numbers of jobs and of cycles.
+        spare = -len(jobs) % LANES if len(jobs) > 1 else 0
+        padded = [*jobs, *[jobs[0]._replace(parts=0)] * spare]
         cycles = [
             [
                 (length / len(rate.settled.taken), one.losses)
                 for length, rate in job.losses
                 for one in rate.settled.taken
             ]
-            for job in jobs
+            for job in padded
         ]
-        # One program for many numbers of jobs and of cycles.
         count = max(map(len, cycles))
-        padding = max(2 ** (count - 1).bit_length(), LEAST_CYCLES)
-        cycles = [some + [(0.0, some[0][1])] * (padding - len(some)) for some in cycles]
-        parts = [job.parts for job in jobs]
-        rows = [self.unflat(job.row[: self.count]) for job in jobs]
-        spare = -len(jobs) % LANES if len(jobs) > 1 else 0
-        stacked = stack([stack([loss for _, loss in some]) for some in cycles + cycles[:1] * spare])
-        lengths = np.array([[length for length, _ in some] for some in cycles + cycles[:1] * spare])
-        worn = worn_by_cycles(
-            self.request,
-            stack(rows + rows[:1] * spare),
-            stacked,
-            lengths,
-            np.array(parts + [0] * spare),
-            np.asarray(count),
-        )
-        worn = jax.tree.map(np.asarray, worn)
-        results = []
-        for i, job in enumerate(jobs):
-            depth = flattened(jax.tree.map(lambda maps, i=i: maps[i], worn))[0]
-            means: Any = sum(length * self.cells.means(rate.wear) for length, rate in job.losses)
-            results.append(np.concatenate([depth, self.cells.means(job.row) + means]))
-        return results
+        width = max(2 ** (count - 1).bit_length(), LEAST_CYCLES)
+        cycles = [some + [(0.0, some[0][1])] * (width - len(some)) for some in cycles]
+        lengths, losses = _stack([_stack(some) for some in cycles])
+        parts = np.array([job.parts for job in padded])
+        worn = _stack([self.unflat(job.row[: self.count]) for job in padded])
+        worn = worn_by_cycles(self.request, worn, losses, lengths, parts, np.asarray(count))
+        maps = [np.reshape(depths, (len(padded), -1)) for depths in jax.tree.leaves(worn)]
+        means = self.cells.means
+        return [
+            np.concatenate(
+                [row, means(job.row) + sum(n * means(rate.wear) for n, rate in job.losses)]
+            )
+            for row, job in zip(np.concatenate(maps, axis=1), jobs, strict=False)
+        ]
 
     def halves(self, rate: Rate) -> tuple[Rate, Rate] | None:
         """Of a mean over cycles two rates, by the former and the latter half of these, by
@@ -174,7 +168,7 @@ class Rates:
         return store.obtain(address, lambda: as_tree(self.kind, store.load(address)), compute, True)
 
 
-def stack(trees: Sequence[Any]) -> Any:
+def _stack(trees: Sequence[Any]) -> Any:
     """Trees of arrays with an axis in front."""
     return jax.tree.map(lambda *each: np.stack(each), *trees)
 
