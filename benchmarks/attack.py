@@ -17,7 +17,6 @@ import json
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -28,7 +27,7 @@ from benchmarks.attacks.bearings import Case
 from benchmarks.attacks.numbers import Draw
 from benchmarks.attacks.structures import DRAWS, NUMBERS, ROOM, Structure, structures
 from benchmarks.attacks.tables import Row, accused, tables
-from benchmarks.measure import about, report
+from benchmarks.measure import about, arguments, report
 from jaxclear.ground.printing import as_typed
 
 # Saving times of every run.
@@ -111,15 +110,15 @@ def explain(number: int, one: Attack) -> None:
 
 
 def _options(description: str | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=description)
-    parser.add_argument("--quick", action="store_true", help="a sixth of the mechanisms")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures here")
-    parser.add_argument("--case", type=int, metavar="N", help="print all about one case")
-    parser.add_argument("--only", type=int, nargs="*", metavar="K", help="these structures")
-    parser.add_argument("--draws", type=int, metavar="N", help="draws of each structure")
-    parser.add_argument("--first", type=int, default=0, metavar="N", help="the first of these")
-    parser.add_argument("--builders", action="store_true", help="the first one of each builder")
-    return parser.parse_args()
+    number = {"type": int, "metavar": "N"}
+    return arguments(
+        description or "",
+        case=number | {"help": "print all about one case"},
+        only={"type": int, "nargs": "*", "metavar": "K", "help": "these structures"},
+        draws=number | {"help": "draws of each structure"},
+        first=number | {"default": 0, "help": "the first of these"},
+        builders={"action": "store_true", "help": "the first one of each builder"},
+    )
 
 
 def main(

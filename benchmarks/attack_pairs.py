@@ -11,10 +11,8 @@ as `jax.jacfwd(problem.evaluate)` gives them, beside extrapolated central differ
 explained).
 """
 
-import argparse
 import itertools
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import equinox as eqx
@@ -24,7 +22,7 @@ import numpy as np
 
 import jaxclear as jc
 from benchmarks.attack_slopes import LEAST, SHARES, Row, extrapolated, judge, summary
-from benchmarks.measure import report, sign
+from benchmarks.measure import arguments, report, sign
 
 DURATION, SAVES = 0.6, 121
 # By how much of itself a slope may be off.
@@ -182,12 +180,11 @@ def pairs() -> list[tuple[str, str]]:
 
 
 def main() -> None:
-    options = argparse.ArgumentParser(description=__doc__)
-    options.add_argument("--quick", action="store_true", help="three pairs")
-    options.add_argument("--json", type=Path, help="write the figures here")
-    options.add_argument("--only", nargs="*", choices=list(FEATURES), help="pairs with all of them")
-    options.add_argument("--rung", nargs="*", choices=list(RUNGS), default=list(RUNGS))
-    given = options.parse_args()
+    given = arguments(
+        str(__doc__),
+        only={"nargs": "*", "choices": list(FEATURES), "help": "pairs with all of them"},
+        rung={"nargs": "*", "choices": list(RUNGS), "default": list(RUNGS)},
+    )
     chosen = [(k, p) for k, p in enumerate(pairs()) if set(given.only or ()) <= set(p)]
     chosen = chosen[:: len(chosen) // 3] if given.quick else chosen
     rungs = {name: RUNGS[name] for name in given.rung}

@@ -14,11 +14,9 @@ a sentence; said, where the run warns of its response; undecidable, where the re
 or silently wrong.
 """
 
-import argparse
 from collections import Counter
 from collections.abc import Callable
 from enum import StrEnum
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -33,7 +31,7 @@ from benchmarks.attacks.bearings import Case
 from benchmarks.attacks.coupled import COUPLED
 from benchmarks.attacks.rungs import of_studies
 from benchmarks.attacks.structures import ROOM, Structure, structures
-from benchmarks.measure import report, sign
+from benchmarks.measure import arguments, report, sign
 
 # Shares of a number by which differences are taken, and tolerances of the two references.
 SHARES, TOLERANCES = (2e-4, 1e-4, 5e-5), (1e-10, 1e-9)
@@ -300,14 +298,13 @@ def summary(rows: list[Row], key: str) -> list[dict[str, Any]]:
 
 
 def main() -> None:
-    options = argparse.ArgumentParser(description=__doc__)
-    options.add_argument("--quick", action="store_true", help="three mechanisms")
-    options.add_argument("--json", type=Path, help="write the figures here")
-    options.add_argument("--first", type=int, default=40, help="the first draw")
-    options.add_argument("--draws", type=int, default=1, help="how many draws")
-    options.add_argument("--only", type=int, nargs="*", help="mechanisms by number")
-    options.add_argument("--rung", nargs="*", choices=list(RUNGS), default=list(RUNGS))
-    given = options.parse_args()
+    given = arguments(
+        str(__doc__),
+        first={"type": int, "default": 40, "help": "the first draw"},
+        draws={"type": int, "default": 1, "help": "how many draws"},
+        only={"type": int, "nargs": "*", "help": "mechanisms by number"},
+        rung={"nargs": "*", "choices": list(RUNGS), "default": list(RUNGS)},
+    )
     wanted = [each for each in structures() if given.only is None or each.number in given.only]
     if given.quick:
         wanted = wanted[:: len(wanted) // QUICK]

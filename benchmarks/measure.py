@@ -7,6 +7,7 @@ machine that is shared.
 import argparse
 import datetime
 import json
+import logging
 import math
 import os
 import platform
@@ -15,15 +16,12 @@ import statistics
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import equinox as eqx
 import jax
-
-# Options that say where figures are written, not what is measured.
-FILES = ("--json", "--kept")
 
 
 def arguments(description: str, **more: dict[str, Any]) -> argparse.Namespace:
@@ -96,11 +94,20 @@ def by_turns(
     return statistics.median(spent[beside]), ratios, turns
 
 
-def alone(problem: Any, repeats: int) -> tuple[float, float]:
-    """(wall, CPU) seconds of a problem's nominal run, compiled before."""
-    one = eqx.filter_jit(lambda p, v: p.evaluate(v))
-    value = problem.nominal()
-    return side_by_side({"alone": lambda: one(problem, value).responses}, repeats)["alone"]
+@contextmanager
+def loop_reasons() -> Iterator[list[str]]:
+    """Why loops that are compiled within are left to XLA."""
+    messages: list[str] = []
+    log, handler = logging.getLogger("jaxclear.native.loop"), logging.Handler(logging.INFO)
+    handler.emit = lambda record: messages.append(record.getMessage())
+    level = log.level
+    log.addHandler(handler)
+    log.setLevel(logging.INFO)
+    try:
+        yield messages
+    finally:
+        log.removeHandler(handler)
+        log.setLevel(level)
 
 
 def seconds_to_compile(function: Callable, *args: Any) -> tuple[Any, float]:
@@ -151,10 +158,9 @@ def about(module: str, path: Path | None, parts: Sequence[str] = ()) -> dict[str
     before = known.get("about", {})
     here = f"{os.cpu_count()} cores ({platform.machine()})"
     asked = list(sys.argv[1:])
-    for name in FILES:
-        if name in asked:
-            at = asked.index(name)
-            del asked[at : at + 2]
+    if "--json" in asked:  # where figures are written, not what is measured
+        at = asked.index("--json")
+        del asked[at : at + 2]
     command = " ".join(["python -m", module, *map(shlex.quote, asked)])
     today = date()
     told: dict[str, Any] = {

@@ -33,12 +33,12 @@ def test_programs_stay_within_their_budget():
     """Sizes are exact. Compile times are measured beside a reference, but a busy machine can spoil
     one: three in a row count.
     """
-    over = equations.over_budget(equations.variant_rows(whole=False))
+    over = equations.over_budget(equations.variant_rows())
     assert not [sentence for sentence in over if "equations" in sentence]
     stubborn = {sentence.split(" is ")[0] for sentence in over}
     for _ in range(2):
         if stubborn:
-            again = equations.over_budget(equations.variant_rows(whole=False))
+            again = equations.over_budget(equations.variant_rows())
             stubborn &= {sentence.split(" is ")[0] for sentence in again}
     assert not stubborn, over
 

@@ -15,8 +15,9 @@ from types import ModuleType
 import pytest
 
 import jaxclear
-from jaxclear.ground.argument_errors import RENAMED
 from jaxclear.ground.quantity import AbstractQuantified
+from jaxclear.studies.design.cost import AbstractCost
+from jaxclear.studies.experiment import ResponseInfo
 
 PINNED = Path(__file__).parent / "refdata" / "public_surface.json"
 
@@ -184,25 +185,33 @@ def test_numbers_that_could_be_swapped_are_given_by_name(law):
             law(0.25, 0.5)
 
 
-@pytest.mark.parametrize("path", RENAMED)
-def test_an_old_name_works_and_warns_of_the_new_one(path):
-    place, _, name = path.rpartition(".")
-    with pytest.warns(FutureWarning, match=re.escape(f"called {place}.{RENAMED[path]} now")):
-        renamed = getattr(importlib.import_module(place), name)
-    assert renamed is getattr(importlib.import_module(place), RENAMED[path])
-
-
 def test_an_old_argument_works_and_warns_of_the_new_one():
-    with pytest.warns(FutureWarning, match=r"seated of clearance.Backlash is called in_contact"):
-        assert jaxclear.clearance.Backlash(0.1, seated=True).in_contact
-    with pytest.raises(TypeError, match="Backlash has no argument"):
-        jaxclear.clearance.Backlash(0.1, most=7)
+    with pytest.warns(FutureWarning, match=r"given of sensor.Series is called is_input now"):
+        assert jaxclear.sensor.Series("speed", given=True).is_input
+    with pytest.raises(TypeError, match="Series has no argument"):
+        jaxclear.sensor.Series("speed", found=True)
 
 
 def test_an_old_member_works_and_warns_of_the_new_one():
-    run = jaxclear.simulate(jaxclear.scenes.slider_crank(), 1e-4, save=2, verify=False)
-    with pytest.warns(FutureWarning, match="doubts of Trajectory is called assembly_warnings"):
-        assert run.doubts == run.assembly_warnings
+    rig = jaxclear.scenes.slider_crank()
+    with pytest.warns(FutureWarning, match="given of Mechanism is called start_arguments now"):
+        assert rig.given == rig.start_arguments
+    allowed = ResponseInfo(promise=(1.0, 0.0))
+    with pytest.warns(FutureWarning, match="promised of .*ResponseInfo is called tolerance now"):
+        assert allowed.promised(2.0) == allowed.tolerance(2.0) == 1.0
+
+
+def test_a_class_that_overrides_an_old_member_overrides_the_new_one():
+    with pytest.warns(FutureWarning, match="known of Stepped is called tolerance_range now"):
+
+        class Stepped(AbstractCost):
+            def __call__(self, tolerance):
+                return 1 / tolerance
+
+            def known(self):
+                return 1.0, 2.0
+
+    assert Stepped().tolerance_range() == (1.0, 2.0)
 
 
 def test_completion_shows_public_names_alone_and_families_are_imported_by_name():

@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 import jaxclear as jc
@@ -21,8 +20,6 @@ from benchmarks.attacks import answers, rungs, verdicts
 from benchmarks.attacks.bearings import Case
 from benchmarks.attacks.verdicts import Verdict
 from jaxclear.integrators.base import Promise
-from jaxclear.multibody.system import prepare
-from jaxclear.simulation.wear import unworn
 
 # By how much the numbers of a mechanism are never known: answers that this changes beyond the
 # accuracy are no run's to give.
@@ -34,14 +31,11 @@ NONE: Mapping[str, Any] = MappingProxyType({})
 
 
 class Asked(NamedTuple):
-    """How a case is run: number of saving times, whether the energy balance is kept, the depth
-    [m] to which surfaces are worn at the start, on one side (None: new), and how often it is saved
-    for each of these times; whether replicas
-    tell its errors."""
+    """How a case is run: number of saving times, whether the energy balance is kept, how often it
+    is saved for each of these times, and whether replicas tell its errors."""
 
     saves: int = 201
     balance: bool = True
-    worn: float | None = None
     every: int = 1
     verify: bool = True
 
@@ -102,30 +96,19 @@ def _run(case: Case, integrator: Any, asked: Asked) -> jc.Trajectory:
         case.duration,
         integrator=integrator,
         save=asked.every * (asked.saves - 1) + 1,
-        state=_begin(case, integrator, asked),
+        state=_begin(case, integrator),
         balance=asked.balance,
         throw=False,
         verify=asked.verify,
     )
 
 
-def _begin(case: Case, integrator: Any, asked: Asked) -> jc.State | None:
+def _begin(case: Case, integrator: Any) -> jc.State | None:
     """Where a case begins. Joints that always touch are seated by themselves."""
     if case.seated:
         always = isinstance(integrator, jc.integrator.NonColliding)
         return None if always else jc.resting_state(case.mechanism)
-    worn = None
-    if asked.worn is not None:
-        depths = unworn(prepare(case.mechanism))
-        worn = jax.tree.map(lambda depth: asked.worn * _hollow(depth), depths)
-    return jc.State(worn, concentric=case.concentric)
-
-
-def _hollow(depth: Any) -> Any:
-    """A smooth hollow around -y: 1 in its middle, 0 on the far side."""
-    around = depth.shape[0]
-    angle = 2 * jnp.pi * (jnp.arange(around) + 0.5) / around
-    return jnp.ones(depth.shape) * (0.5 * (1 - jnp.sin(angle)))[:, None]
+    return jc.State(concentric=case.concentric)
 
 
 def judges(case: Case, model: str, step: float | None, asked: Asked) -> tuple[Attempt, ...]:

@@ -192,10 +192,7 @@ def slider_crank_of_two(n: Draw, laws: Laws) -> Case:
     ends = {name: jc.Connection(joint, c.parent, c.child) for name, c in _ends(scene).items()}
     connections = scene.connections | ends
     rig = jc.Mechanism(
-        scene.bodies,
-        connections,
-        scene.loads,
-        start={"G": 0.17, "rod": (0.05, 0.0, 0.0)},
+        scene.bodies, connections, scene.loads, start={"G": 0.17, "rod": (0.05, 0.0, 0.0)}
     )
     return Case(rig, _duration(n))
 

@@ -92,8 +92,7 @@ FRICTIONS: dict[str, Maker] = {
         **_two_coefficients(n), peak_speed=n.log(1e-4, 1e-1, 1e-3), decay=n.log(10.0, 1e4, 1e3)
     ),
     "Stribeck": lambda n: jc.friction.Stribeck(
-        **_two_coefficients(n),
-        **_two_speeds(n, "transition_speed", "stribeck_speed", (1e-4, 1e-2)),
+        **_two_coefficients(n), **_two_speeds(n, "transition_speed", "stribeck_speed", (1e-4, 1e-2))
     ),
     "Dahl": lambda n: jc.friction.Dahl(
         mu_kinetic=n.log(0.01, 0.5, 0.1), presliding=n.log(1e-7, 1e-4, 1e-6)

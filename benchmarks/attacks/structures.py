@@ -86,9 +86,8 @@ class Structure(NamedTuple):
         return self.build(Draw(NUMBERS, self.number, draw, plain=draw == 0), laws)
 
 
-def structures(others: int = 1) -> list[Structure]:
-    """All of them, in an order in which kinds alternate; `others`: rungs beside those that every
-    mechanism is run on."""
+def structures() -> list[Structure]:
+    """All of them, in an order in which kinds alternate."""
     shuffled = np.random.default_rng(CHOICES)
     contacts = list(shuffled.permutation(list(CONTACTS)))
     frictions = list(shuffled.permutation([*FRICTIONS, ""]))
@@ -101,8 +100,8 @@ def structures(others: int = 1) -> list[Structure]:
         if build in NOT_CYLINDERS and contact in CYLINDERS:
             contact = MODULUS_OF_A_BALL
         wear = "" if build in WITHOUT_WEAR else wears[number % len(wears)]
-        turn = [TAKING_TURNS[(number * others + k) % len(TAKING_TURNS)] for k in range(others)]
+        turn = TAKING_TURNS[number % len(TAKING_TURNS)]
         friction = str(frictions[number % len(frictions)])
         laws = ("", "", "") if ideal_one else (contact, friction, wear)
-        found.append(Structure(number, build, *laws, (*ALWAYS, *turn, *LAST), number % 3 != 2))
+        found.append(Structure(number, build, *laws, (*ALWAYS, turn, *LAST), number % 3 != 2))
     return found

@@ -15,7 +15,6 @@ assembler ptxas, of the package nvidia-cuda-nvcc-cu12, makes of the kernels.
 import functools
 import importlib.util
 import json
-import logging
 import os
 import re
 import subprocess
@@ -33,7 +32,7 @@ import numpy as np
 
 import jaxclear as jc
 from benchmarks.claims.slopes import bouncing
-from benchmarks.measure import arguments, report, sign
+from benchmarks.measure import arguments, loop_reasons, report, sign
 from jaxclear.native import gpu, gpu_ptx, gpu_threads
 from jaxclear.native import kernel as kernels
 from jaxclear.studies.store import batch
@@ -132,7 +131,6 @@ def with_slopes(problem: jc.Problem, values: jax.Array) -> jax.Array:
 def measured(case: Case, way: str, sizes: list[int], patience: float, kept: Path) -> None:
     """What this process finds, in a file after each size."""
     scene, rung, asked = case
-    reasons = _heard()
     problem, found = question(scene, rung), Found()
     function = with_slopes if asked == SLOPES else responses
     if way == PROCESSOR:
@@ -147,10 +145,11 @@ def measured(case: Case, way: str, sizes: list[int], patience: float, kept: Path
         spent = []
         for _ in range(2):
             begun = time.perf_counter()
-            given = batch.evaluate_all(problem, samples, chunk=chunk, function=function)
+            with loop_reasons() as reasons:
+                given = batch.evaluate_all(problem, samples, chunk=chunk, function=function)
+            found.left_to_xla = sorted({*found.left_to_xla, *reasons})
             spent.append(time.perf_counter() - begun)
         found.seconds[str(size)], found.values[str(size)] = spent, given[:64].tolist()
-        found.left_to_xla = sorted(reasons)
         if way == KERNELS:
             _look_at_kernels(found)
         shown = f"{spent[1]:.3g} s (first {spent[0]:.3g} s)"
@@ -158,20 +157,6 @@ def measured(case: Case, way: str, sizes: list[int], patience: float, kept: Path
         kept.write_text(json.dumps(asdict(found)))
         if spent[1] > patience:
             break
-
-
-def _heard() -> set[str]:
-    """Why loops are left to XLA, as that is told from now on."""
-    reasons: set[str] = set()
-
-    class Heard(logging.Handler):
-        def emit(self, record):
-            reasons.add(record.getMessage())
-
-    log = logging.getLogger("jaxclear.native.loop")
-    log.setLevel(logging.INFO)
-    log.addHandler(Heard())
-    return reasons
 
 
 def _look_at_kernels(found: Found) -> None:

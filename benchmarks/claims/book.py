@@ -13,7 +13,6 @@ A page marks a term where it explains it: as {term}`rung`, or in bold in a parag
 and a cell of a table are paragraphs as any other; programs and their output are none.
 """
 
-import argparse
 import ast
 import base64
 import inspect
@@ -32,7 +31,7 @@ from markdown_it.renderer import RendererHTML
 from myst_parser.config.main import MdParserConfig
 from myst_parser.parsers.mdit import create_md_parser
 
-from benchmarks.measure import report, sign
+from benchmarks.measure import arguments, report, sign
 
 ROOT = Path(__file__).resolve().parents[2]
 BOOK = ROOT / "notebooks"
@@ -427,14 +426,13 @@ def measure(built: Path | None = None) -> dict[str, float]:
 
 def main() -> None:
     """Prints the counts with their limits."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--list", action="store_true", help="name what is beyond a limit")
-    parser.add_argument("--built", type=Path, help="folder of the built book")
-    parser.add_argument("--json", type=Path, help="write the counts to this file")
-    parser.add_argument("--quick", action="store_true", help="as all benchmarks")
-    parser.add_argument("--run", nargs="*", metavar="PAGE", help="execute pages (all by default)")
-    parser.add_argument("--into", type=Path, default=ROOT / "build" / "pages", help="their output")
-    options = parser.parse_args()
+    options = arguments(
+        str(__doc__),
+        list={"action": "store_true", "help": "name what is beyond a limit"},
+        built={"type": Path, "help": "folder of the built book"},
+        run={"nargs": "*", "metavar": "PAGE", "help": "execute pages (all by default)"},
+        into={"type": Path, "default": ROOT / "build" / "pages", "help": "their output"},
+    )
     if options.run is not None:
         report("pages executed", run_pages(options.run, options.into), options)
         return

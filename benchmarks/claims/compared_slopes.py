@@ -6,7 +6,6 @@ journal, a pendulum of two links, a link in two bearings, slider-cranks with one
 with friction and without, elastic and plastic impacts. References are slopes in steps of 0.1 us
 where those in steps of 0.2 us say the same; other slopes are not counted. A right one is off by a
 fiftieth of itself at the most. Takes a quarter of an hour.
-`--json benchmarks/results/compared_slopes.json` keeps it.
 """
 
 import functools

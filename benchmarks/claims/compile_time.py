@@ -111,12 +111,6 @@ IMPORT = "import time; begun = time.process_time(); import {}; print(time.proces
 TURNS = 9
 
 
-def measured(scene: str, span: float, integrator: str, cache: str | None) -> list[float]:
-    """CPU seconds to import, to build and assemble, of the first run, and of the second one, in a
-    new process."""
-    return told(PROGRAM.format(scene=scene, span=span, integrator=integrator), cache)
-
-
 def told(program: str, cache: str | None = None) -> list[float]:
     """The numbers that a program prints in a new process."""
     without = ("JAX_COMPILATION_CACHE_DIR", "PYTHONDONTWRITEBYTECODE")
@@ -140,8 +134,8 @@ def imports(_: Any) -> list[dict[str, Any]]:
 def row_of(scene: str, span: float, integrator: str, limit: float) -> dict[str, Any]:
     """A scene on an integrator."""
     with tempfile.TemporaryDirectory() as folder:
-        plain = measured(scene, span, integrator, folder)
-        cached = measured(scene, span, integrator, folder)
+        program = PROGRAM.format(scene=scene, span=span, integrator=integrator)
+        plain, cached = (told(program, folder) for _ in range(2))
     first = plain[1] + plain[2]
     return {
         "scene": scene,

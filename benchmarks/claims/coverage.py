@@ -2,7 +2,7 @@
 scatter of the answers asks for: jaxclear.sensitivity repeated with other random numbers.
 
     python -m benchmarks.claims.coverage [--quick] [--cases ball1 ...] [--repetitions N]
-        [--reference RUNS] [--pathwise] [--kept FOLDER] [--json FILE]
+        [--reference RUNS] [--pathwise] [--json FILE]
 
 The truth is the integral over the tolerance of the response times the score function, by a grid of
 `--reference` runs and what the ends add; its own error is how far a third of the grid is off.
@@ -12,21 +12,17 @@ turns. `four-bar`: mean force over 0.1 turns. Steps are such that runs do not wa
 runs in doubt is not called agreed. The last columns are stated over true standard
 error of the Monte Carlo mean of the same samples, and variance (of answers that are agreed) times
 runs beside the best method's: an answer takes the runs of all methods, of which one confirms the
-other. With `--kept` every repetition is written down as it ends, one line each, and a later call
-goes on where the last one stopped.
+other.
 """
 
-import argparse
-import json
 import time
-from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
 from scipy import stats
 
 import jaxclear as jc
-from benchmarks.measure import report, sign
+from benchmarks.measure import arguments, report, sign
 from jaxclear.studies.store.batch import evaluate_all
 from jaxclear.studies.statistics.scrambled import standard_error
 
@@ -132,24 +128,6 @@ def one_study(problem: jc.Problem, methods: tuple, seed: int) -> list[dict]:
     return told
 
 
-def kept_lines(file: Path | None) -> list[list[dict]]:
-    """Repetitions that were written down to their end."""
-    if file is None or not file.exists():
-        return []
-    return [json.loads(line) for line in file.read_text().splitlines() if line.endswith("]")]
-
-
-def repeated(problem: jc.Problem, repetitions: int, methods: tuple, file: Path | None) -> list:
-    """What so many studies say, those that are kept in the file first."""
-    studies = kept_lines(file)[:repetitions]
-    for i in range(len(studies), repetitions):
-        studies.append(one_study(problem, methods, 1000 + 10 * i))
-        if file is not None:
-            with file.open("a") as lines:
-                lines.write(json.dumps(studies[-1]) + "\n")
-    return studies
-
-
 def rows_of(studies: list[list[dict]], truth: dict) -> list[dict]:
     """Rows: response and method, how often its interval held, how wide it was."""
     rows = []
@@ -198,38 +176,23 @@ def _compared(rows: list[dict]) -> list[dict]:
     return rows
 
 
-def known_truth(name: str, runs: int, folder: Path | None) -> dict[str, tuple[float, float]]:
-    """The reference, read from the folder where an earlier call left it."""
-    file = None if folder is None else folder / f"{name.replace('/', ' ')} {runs}.json"
-    if file is not None and file.exists():
-        return {key: tuple(pair) for key, pair in json.loads(file.read_text()).items()}
-    truth = reference(CASES[name](name), runs)
-    if file is not None:
-        file.write_text(json.dumps(truth))
-    return truth
-
-
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true")
-    parser.add_argument("--cases", nargs="*", default=list(CASES), choices=list(CASES))
-    parser.add_argument("--repetitions", type=int, default=400)
-    parser.add_argument("--reference", type=int, default=16384)
-    parser.add_argument("--pathwise", action="store_true")
-    parser.add_argument("--kept", type=Path, metavar="FOLDER")
-    parser.add_argument("--json", type=Path)
-    options = parser.parse_args()
+    options = arguments(
+        str(__doc__),
+        cases={"nargs": "*", "default": list(CASES), "choices": list(CASES)},
+        repetitions={"type": int, "default": 400},
+        reference={"type": int, "default": 16384},
+        pathwise={"action": "store_true"},
+    )
     if options.quick:
         options.cases, options.repetitions, options.reference = ["ball1"], 4, 1024
-    if options.kept is not None:
-        options.kept.mkdir(parents=True, exist_ok=True)
     for name in options.cases:
-        truth = known_truth(name, options.reference, options.kept)
+        problem, title = CASES[name](name), f"Intervals: {name}"
+        truth = reference(problem, options.reference)
         # Tangents through rattling are refused, and dear.
         methods = ("regression", "differences") + ("pathwise",) * options.pathwise
-        file = options.kept and options.kept / f"{name.replace('/', ' ')}.jsonl"
-        studies = repeated(CASES[name](name), options.repetitions, methods, file)
-        title = f"Intervals: {name}"
+        seeds = range(1000, 1000 + 10 * options.repetitions, 10)
+        studies = [one_study(problem, methods, seed) for seed in seeds]
         report(title, rows_of(studies, truth), options)
         sign("benchmarks.claims.coverage", options.json, [title])
 

@@ -30,12 +30,10 @@ from benchmarks.claims.four_bar_variants import (
 )
 from benchmarks.measure import run_tables, seconds_to_compile
 from jaxclear.scenes.four_bar import KINDS, four_bar
-from jaxclear.simulation.simulate import run
 
 BUDGET = Path(__file__).with_name("equations_budget.json")
 # Equations of the reference function; its compile time is the unit in which the budget is written.
 REFERENCE_LENGTH = 400
-SAVES = 26
 
 
 def traced(mechanism: jc.Mechanism) -> tuple[Any, tuple]:
@@ -59,18 +57,9 @@ def primitives(function: Any, args: tuple) -> Counter:
 def _count(jaxpr: Jaxpr) -> Counter:
     counts: Counter = Counter()
     for equation in jaxpr.eqns:
-        inner = [
-            x
-            for value in equation.params.values()
-            for x in (value if isinstance(value, tuple) else (value,))
-        ]
-        inner = [
-            x.jaxpr if isinstance(x, ClosedJaxpr) else x
-            for x in inner
-            if isinstance(x, (Jaxpr, ClosedJaxpr))
-        ]
+        inner = [x for x in jax.tree.leaves(equation.params) if isinstance(x, (Jaxpr, ClosedJaxpr))]
         for program in inner:
-            counts += _count(program)
+            counts += _count(getattr(program, "jaxpr", program))
         if not inner:
             counts[equation.primitive.name] += 1
     return counts
@@ -92,25 +81,12 @@ def reference_seconds() -> float:
     return min(seconds_to_compile(reference, jnp.ones(2))[1] for _ in range(3))
 
 
-def simulation_seconds(mechanism: jc.Mechanism, integrator: Any) -> float:
-    """Seconds to compile a whole run."""
-    start = jc.assemble(mechanism)
-    times = jnp.linspace(0.0, 0.01, SAVES)
-    numbers, rest = eqx.partition((mechanism, integrator), eqx.is_array)
-
-    def program(numbers, q, v):
-        mechanism, integrator = eqx.combine(numbers, rest)
-        return eqx.filter(run(mechanism, q, v, times, integrator), eqx.is_array)
-
-    return seconds_to_compile(program, numbers, start.coordinates, start.speeds)[1]
-
-
-def measure(mechanism: jc.Mechanism, unit: float, whole: bool) -> dict[str, Any]:
+def measure(mechanism: jc.Mechanism, unit: float) -> dict[str, Any]:
     """One row of the table."""
     layout = parts(mechanism)[1]
     function, args = traced(mechanism)
     compiled, seconds = seconds_to_compile(function, *args)
-    row = {
+    return {
         "coordinates": layout.coordinates,
         "speeds": layout.speeds,
         "state": layout.size,
@@ -120,10 +96,6 @@ def measure(mechanism: jc.Mechanism, unit: float, whole: bool) -> dict[str, Any]
         "compile rate [s]": seconds,
         "compile ratio": seconds / unit,
     }
-    if whole:
-        row["compile FixedStep [s]"] = simulation_seconds(mechanism, jc.integrator.FixedStep())
-        row["compile Adaptive [s]"] = simulation_seconds(mechanism, jc.integrator.Adaptive())
-    return row
 
 
 def over_budget(rows: list[dict[str, Any]]) -> list[str]:
@@ -137,13 +109,12 @@ def over_budget(rows: list[dict[str, Any]]) -> list[str]:
     ]
 
 
-def variant_rows(whole: bool) -> list[dict[str, Any]]:
-    measure(build(VARIANTS[0]), 1.0, False)  # what is compiled first pays for starting the compiler
+def variant_rows() -> list[dict[str, Any]]:
+    measure(build(VARIANTS[0]), 1.0)  # what is compiled first pays for starting the compiler
     unit = reference_seconds()
-    rows = [{"variant": v.name} | measure(build(v), unit, whole) for v in VARIANTS]
+    rows = [{"variant": v.name} | measure(build(v), unit) for v in VARIANTS]
     return rows + [
-        {"variant": f"scenes.four_bar {kind}"} | measure(four_bar(kind), unit, whole)
-        for kind in KINDS
+        {"variant": f"scenes.four_bar {kind}"} | measure(four_bar(kind), unit) for kind in KINDS
     ]
 
 
@@ -161,15 +132,15 @@ def absence_rows() -> list[dict[str, Any]]:
                         "with it": sum(rate_primitives(build(variant)).values()),
                         "never given": sum(rate_primitives(build(poorer)).values()),
                         "taken out": sum(
-                            rate_primitives(without(build(variant), variant.kind, feature)).values()
+                            rate_primitives(without(build(variant), feature)).values()
                         ),
                     }
                 )
     return rows
 
 
-def budgeted_rows(options: Any) -> list[dict[str, Any]]:
-    rows = variant_rows(whole=not options.quick)
+def budgeted_rows(_: Any) -> list[dict[str, Any]]:
+    rows = variant_rows()
     print("\n".join(over_budget(rows)) or "\nwithin the budget")
     return rows
 

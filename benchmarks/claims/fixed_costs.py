@@ -4,25 +4,22 @@ saving time); and a call of `simulate`, of the same numbers and of others each t
 `Problem.evaluate`, as a loop of SciPy's makes them; and what a film costs in a batch.
 
 CPU time, all in one process, the cases taking turns; of samples also as a share of what the
-smallest chunks take. `--json benchmarks/results/fixed_costs.json` keeps it.
+smallest chunks take.
 """
 
 import functools
 import itertools
 import os
-import statistics
 import tempfile
-import time
 from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 
 import jaxclear as jc
-from benchmarks.measure import run_tables
+from benchmarks.measure import run_tables, side_by_side
 from jaxclear.studies.store import batch
 
 # Samples of a study, and chunks of them.
@@ -69,16 +66,9 @@ def problem(scene: str, varied: str, saves: int, idle: bool = False) -> jc.Probl
     return asked.with_experiment(asked.cost().idle) if idle else asked
 
 
-def by_turns(cases: dict[Any, Callable[[], Any]], turns: int) -> dict[Any, float]:
-    """Median CPU seconds of each case; each runs once before."""
-    spent: dict[Any, list[float]] = {name: [] for name in cases}
-    for turn in range(turns + 1):
-        for name, case in cases.items():
-            begun = time.process_time()
-            jax.block_until_ready(case())
-            if turn:
-                spent[name].append(time.process_time() - begun)
-    return {name: statistics.median(own) for name, own in spent.items()}
+def smallest(cases: dict[Any, Callable[[], Any]], turns: int) -> dict[Any, float]:
+    """CPU seconds of each case."""
+    return {name: cpu for name, (_, cpu) in side_by_side(cases, turns).items()}
 
 
 def sample_row(scene: str, varied: str, saves: int, idle: bool, turns: int) -> dict[str, Any]:
@@ -87,7 +77,7 @@ def sample_row(scene: str, varied: str, saves: int, idle: bool, turns: int) -> d
     spread = np.random.default_rng(0).uniform(-2e-5, 2e-5, size=(SAMPLES, 1))
     values = np.asarray(asked.nominal()) + spread
     cases = {n: functools.partial(batch.evaluate_all, asked, values, chunk=n) for n in CHUNKS}
-    spent = by_turns(cases, turns)
+    spent = smallest(cases, turns)
     row: dict[str, Any] = {"scene": scene, "varied": varied, "saves": saves}
     row["steps"] = "none" if idle else 500
     row |= {f"chunks of {n} [us/sample]": 1e6 * spent[n] / SAMPLES for n in CHUNKS}
@@ -119,7 +109,7 @@ def call_rows(turns: int) -> list[dict[str, Any]]:
         for name, pair in calls.items()
         for i, call in enumerate(pair)
     }
-    spent = by_turns(cases, turns)
+    spent = smallest(cases, turns)
     return [
         {
             "call": name,
@@ -157,7 +147,7 @@ def film_rows(turns: int) -> list[dict[str, Any]]:
         still = moving.with_experiment(moving.cost().idle)
         cases[name, True] = functools.partial(batch.evaluate_all, moving, values)
         cases[name, False] = functools.partial(batch.evaluate_all, still, values)
-    spent, steps = by_turns(cases, turns), SAMPLES * round(DURATION / float(STEP.step))
+    spent, steps = smallest(cases, turns), SAMPLES * round(DURATION / float(STEP.step))
     step = {name: 1e9 * (spent[name, True] - spent[name, False]) / steps for name in FILMS}
     return [
         {

@@ -22,7 +22,6 @@ from jaxclear.multibody.system import System, prepare, readings
 from jaxclear.simulation.wear import unworn
 
 CLEARANCE = 2e-4
-WEAR_FIELDS = {"planar": "bearing_wear", "spatial": "bearing_wear"}
 
 
 class Variant(NamedTuple):
@@ -43,7 +42,7 @@ VARIANTS = (
     Variant("ideal", False, False),
     *(
         Variant(kind, friction, wear)
-        for kind in WEAR_FIELDS
+        for kind in ("planar", "spatial")
         for friction in (False, True)
         for wear in (False, True)
     ),
@@ -59,13 +58,9 @@ def bearing(variant: Variant, clearance: Any = CLEARANCE) -> Any:
     contact = jc.contact.LankaraniNikravesh(stiffness=HertzStiffness(steel, steel))
     friction = jc.friction.ThreeZone() if variant.friction else None
     wear = jc.Wearing(jc.wear.Archard(wear_coefficient=2e-2)) if variant.wear else None
-    if variant.kind == "planar":
-        return jc.clearance.PlanarJournalBearing(
-            contact, friction, clearance=clearance, length=0.03, bearing_wear=wear
-        )
-    return jc.clearance.JournalBearing(
-        contact, friction, clearance=clearance, length=0.03, bearing_wear=wear
-    )
+    planar = variant.kind == "planar"
+    kind = jc.clearance.PlanarJournalBearing if planar else jc.clearance.JournalBearing
+    return kind(contact, friction, clearance=clearance, length=0.03, bearing_wear=wear)
 
 
 def rod(mass: float, length: float, planar: bool) -> jc.Body:
@@ -100,11 +95,11 @@ def build(variant: Variant = FULL, clearance: Any = CLEARANCE) -> jc.Mechanism:
     )
 
 
-def without(mechanism: jc.Mechanism, kind: str, feature: str) -> jc.Mechanism:
+def without(mechanism: jc.Mechanism, feature: str) -> jc.Mechanism:
     """The mechanism with a feature of joint B taken out afterwards: must equal the one that never
     had it.
     """
-    field = {"friction": "friction", "wear": WEAR_FIELDS[kind]}[feature]
+    field = {"friction": "friction", "wear": "bearing_wear"}[feature]
     return eqx.tree_at(lambda m: getattr(m.connections["B"].joint, field), mechanism, None)
 
 

@@ -1,17 +1,15 @@
 """Measures the house itself: lines of code, lengths of files and functions, units, sources, frames.
 
-    python -m benchmarks.claims.house [--list] [--json FILE] [--against FOLDER]
+    python -m benchmarks.claims.house [--list] [--json FILE]
 
-`--list` names what is beyond a limit; `--against` measures another checkout beside this one (lines
-only). Everything is read from the source or from one traced run; nothing is timed.
+`--list` names what is beyond a limit. Everything is read from the source or from one traced run;
+nothing is timed.
 """
 
-import argparse
 import ast
 import dataclasses
 import importlib
 import inspect
-import json
 import pkgutil
 import re
 import tokenize
@@ -23,6 +21,7 @@ from typing import Any
 import equinox as eqx
 
 import jaxclear as jc
+from benchmarks.measure import arguments, report
 
 ROOT = Path(__file__).resolve().parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
@@ -240,33 +239,15 @@ def offenders() -> dict[str, list[str]]:
 
 def main() -> None:
     """Prints the measures with their limits."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--list", action="store_true", help="name what is beyond a limit")
-    parser.add_argument("--json", type=Path, help="write the measures to this file")
-    parser.add_argument("--against", type=Path, help="another checkout, to compare lines with")
-    parser.add_argument(
-        "--quick", action="store_true", help="as all benchmarks; nothing to leave out"
-    )
-    options = parser.parse_args()
-    found = measure()
-    for name, value in found.items():
-        word, limit = LIMITS.get(name, ("", ""))
-        print(f"{name:40} {value:10.4g}  {word} {limit}")
-    if options.against:
-        other = sum(lengths(options.against).values())
-        print(
-            f"package beside {options.against}: {found['package [lines]'] / other:.3f} of {other}"
-        )
-    if options.list:
-        for name, places in offenders().items():
-            print(f"\n{name}: {len(places)}")
-            print("\n".join(f"  {place}" for place in places))
-    if options.json:
-        rows = [
-            {"measure": name, "value": value, "limit": " ".join(map(str, LIMITS.get(name, ())))}
-            for name, value in found.items()
-        ]
-        options.json.write_text(json.dumps({"the house": rows}, indent=1) + "\n")
+    listing = {"action": "store_true", "help": "name what is beyond a limit"}
+    options = arguments(str(__doc__), list=listing)
+    rows = [
+        {"measure": name, "value": value, "limit": " ".join(map(str, LIMITS.get(name, ())))}
+        for name, value in measure().items()
+    ]
+    report("the house", rows, options)
+    for name, places in offenders().items() if options.list else ():
+        print(f"\n{name}: {len(places)}", *places, sep="\n  ")
 
 
 if __name__ == "__main__":

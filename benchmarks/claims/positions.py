@@ -56,10 +56,7 @@ def rows_of(name: str, problem: Any, chunks: tuple[int, ...], many: int) -> list
     run = lambda chunk: lambda: evaluate_all(problem, values, chunk=chunk)
     cpu = {chunk: side_by_side({name: run(chunk)})[name][1] for chunk in chunks}
     row = {"problem": name, "variables": len(problem.names)}
-    return [
-        row | {"samples together": chunk, "samples per CPU s": many / cpu[chunk]}
-        for chunk in chunks
-    ]
+    return [row | {"samples together": c, "samples per CPU s": many / cpu[c]} for c in chunks]
 
 
 def derivative_rows(problem: jc.Problem, chunk: int) -> list[dict[str, Any]]:

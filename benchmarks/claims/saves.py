@@ -10,7 +10,6 @@ surfaces wear they are worn at every saving time, or at the most so often as the
 
 import dataclasses
 import functools
-import json
 from collections.abc import Callable
 
 from typing import Any
@@ -21,7 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxclear as jc
-from benchmarks.measure import arguments, report, side_by_side, sign
+from benchmarks.measure import arguments, report, side_by_side, sign, stored_rows
 from jaxclear.commands.four_bar import CELLS
 from jaxclear.native import explain
 from jaxclear.native.compiled import AROUND_A_KERNEL, QUICK
@@ -66,7 +65,7 @@ STEP = 2e-5
 
 def program(scene: str, integrator: Any, saves: int, batch: int) -> Any:
     """The compiled run, from consistent coordinates to all of its numbers, and what it is given."""
-    rig = integrator.formulation.seen(SCENES[scene]())
+    rig = integrator.formulation.modelled(SCENES[scene]())
     rig, start, past, _ = beginning(rig, integrator.formulation, State())
     times = jnp.linspace(0.0, (OFTEN - 1) * STEPS * STEP, saves)
     arrays, rest = eqx.partition((rig, integrator, past), eqx.is_array)
@@ -118,16 +117,10 @@ def main() -> None:
         for name in options.rung[:1] if options.quick else options.rung:
             for batch in (0,) if options.quick else options.batch:
                 row = measured(scene, name, batch, 3 if options.quick else 7)
-                known = _known(options.json, title)
-                rows = known | {(name, row["samples"]): row}
-                report(title, list(rows.values()), options)
+                same = lambda old: (old["rung"], old["samples"]) == (row["rung"], row["samples"])
+                rows = [old for old in stored_rows(title, options) if not same(old)] + [row]
+                report(title, rows, options)
                 sign("benchmarks.claims.saves", options.json, [title])
-
-
-def _known(path: Any, title: str) -> dict[tuple[str, int], dict[str, Any]]:
-    """Rows of earlier calls by rung and samples."""
-    kept = json.loads(path.read_text()) if path is not None and path.exists() else {}
-    return {(row["rung"], row["samples"]): row for row in kept.get(title, [])}
 
 
 if __name__ == "__main__":

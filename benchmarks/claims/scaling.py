@@ -2,15 +2,15 @@
 
 Times are the smallest of several, of compiled programs; compiling is given apart, in CPU seconds.
 Each chain is measured in a process of its own with a time limit, because long chains may not
-compile in bearable time; everything else takes turns in one process.
+compile in bearable time; everything else takes turns in one process. No link of a chain is held by
+an ideal joint: it hangs together by contact forces alone, let go straight, away from the vertical.
 """
 
 import json
-import logging
+import math
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -18,8 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxclear as jc
-from benchmarks.claims.chain import chain
-from benchmarks.measure import run_tables, seconds_to_compile, side_by_side
+from benchmarks.measure import loop_reasons, run_tables, seconds_to_compile, side_by_side
 from jaxclear.simulation.simulate import run
 from jaxclear.studies.store.batch import evaluate_all
 
@@ -47,30 +46,6 @@ SCENES: dict[str, Callable[[], jc.Mechanism]] = {
 }
 
 
-class _Reasons(logging.Handler):
-    """Keeps why loops were left to XLA."""
-
-    def __init__(self):
-        super().__init__(logging.INFO)
-        self.found: list[str] = []
-
-    def emit(self, record):
-        self.found.append(record.getMessage())
-
-
-@contextmanager
-def reasons() -> Iterator[list[str]]:
-    log, handler = logging.getLogger("jaxclear.native.loop"), _Reasons()
-    level = log.level
-    log.addHandler(handler)
-    log.setLevel(logging.INFO)
-    try:
-        yield handler.found
-    finally:
-        log.removeHandler(handler)
-        log.setLevel(level)
-
-
 def program(
     mechanism: jc.Mechanism, integrator: Any, times: Any
 ) -> tuple[Callable, dict[str, Any]]:
@@ -84,7 +59,7 @@ def program(
         return found.states, found.accepted_steps + found.rejected_steps, found.outcome
 
     args = (numbers, start.coordinates, start.speeds)
-    with reasons() as why:
+    with loop_reasons() as why:
         compiled, seconds = seconds_to_compile(one, *args)
     own = 'custom_call_target="jaxclear_' in compiled.as_text()
     told = {
@@ -105,6 +80,48 @@ def _sentence(error: BaseException) -> str:
 
 # Number of joints
 
+# Links of steel, 10 mm x 20 mm x 100 mm: length [m], mass [kg].
+LENGTH, MASS = 0.1, 0.15
+CLEARANCE = 0.1e-3
+# Angle from the vertical at which the chain is let go [rad].
+LEAN = 0.5
+
+
+def bearing() -> jc.clearance.PlanarJournalBearing:
+    """Each joint of the chain: Lankarani-Nikravesh contact between steel, with friction."""
+    steel = jc.Material(young_modulus=207e9, poisson_ratio=0.3)
+    contact = jc.contact.LankaraniNikravesh(
+        stiffness=jc.stiffness.HertzStiffness(steel, steel), restitution=0.9
+    )
+    friction = jc.friction.ThreeZone(
+        mu_static=0.15, mu_kinetic=0.1, static_speed=0.1, kinetic_speed=1.0
+    )
+    return jc.clearance.PlanarJournalBearing(
+        contact, friction, bearing_radius=10e-3, clearance=CLEARANCE
+    )
+
+
+def chain(joints: int) -> jc.Mechanism:
+    """`joints` links, the first hanging from the ground: as many clearance joints, three speeds a
+    link.
+    """
+    names = [f"link {i}" for i in range(1, joints + 1)]
+    angle = LEAN - math.pi / 2
+    link = jc.Body(MASS, MASS * LENGTH**2 / 12, (LENGTH / 2, 0.0))
+    ends = [jc.Marker("ground")] + [jc.Marker(name, (LENGTH, 0.0)) for name in names[:-1]]
+    return jc.Mechanism(
+        bodies=dict.fromkeys(names, link),
+        connections={
+            f"joint {i}": jc.Connection(bearing(), ends[i - 1], name)
+            for i, name in enumerate(names, 1)
+        },
+        loads={"gravity": jc.load.Gravity((0.0, -9.81))},
+        start={
+            name: (i * LENGTH * math.cos(angle), i * LENGTH * math.sin(angle), angle)
+            for i, name in enumerate(names)
+        },
+    )
+
 
 def chain_figures(joints: int, name: str, repeats: int) -> dict[str, Any]:
     """One chain, measured in this process."""
@@ -121,13 +138,7 @@ def chain_figures(joints: int, name: str, repeats: int) -> dict[str, Any]:
 
 def chain_rows(options: Any) -> list[dict[str, Any]]:
     sizes, limit, repeats = ((1, 4), 40, 2) if options.quick else ((1, 4, 16, 64), 150, 5)
-    keys = (
-        "loop",
-        "compile CPU [s]",
-        "steps",
-        "CPU [ns/step]",
-        "CPU [ns/step/joint]",
-    )
+    keys = ("loop", "compile CPU [s]", "steps", "CPU [ns/step]", "CPU [ns/step/joint]")
     rows: list[dict[str, Any]] = []
     for name in integrators(CHAIN_STEP, implicit=True):
         lost = None
@@ -146,15 +157,8 @@ TOO_LONG = "not compiled and run within"
 
 
 def _in_a_process(joints: int, name: str, repeats: int, limit: int) -> dict[str, Any]:
-    command = [
-        sys.executable,
-        "-m",
-        "benchmarks.claims.scaling",
-        "--chain",
-        str(joints),
-        name,
-        str(repeats),
-    ]
+    module = [sys.executable, "-m", "benchmarks.claims.scaling"]
+    command = [*module, "--chain", str(joints), name, str(repeats)]
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=limit)
     except subprocess.TimeoutExpired:

@@ -23,14 +23,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxclear as jc
-from benchmarks.measure import (
-    arguments,
-    by_turns,
-    report,
-    seconds_to_compile,
-    sign,
-    stored_rows,
-)
+from benchmarks.measure import arguments, by_turns, report, seconds_to_compile, sign, stored_rows
 from jaxclear.simulation.derivatives import backwards, is_compared
 from jaxclear.studies.run_experiment import RunExperiment
 
@@ -102,7 +95,7 @@ def with_slopes(asked: jc.Problem, count: int | str, discrete: bool) -> Callable
     def function(numbers, values):
         whole = eqx.combine(numbers, rest)
 
-        seen = whole.integrator.formulation.seen(whole.mechanism)
+        seen = whole.integrator.formulation.modelled(whole.mechanism)
         checked = is_compared(seen, whole.integrator)
 
         def answer(v):

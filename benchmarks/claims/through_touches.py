@@ -4,7 +4,6 @@ A journal is thrown down in its bearing and bounces; the slopes of its height by
 speed and the law's own numbers stand beside those of the motion: extrapolated differences of tight
 `Adaptive` runs, and for rigid contact the closed form of the bounces. The largest error over these
 numbers, behind one, two, three and five or six bounces; nan where a run says that it does not know.
-`--json benchmarks/results/through_touches.json` keeps it.
 """
 
 from collections.abc import Callable

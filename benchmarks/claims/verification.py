@@ -86,7 +86,7 @@ def batch_row(case: str, quick: bool) -> dict[str, Any]:
     """A sample of a batch with its checks and without."""
     build, integrator, duration = CASES[case]
     times = saving_times(duration, SAVES)
-    rig = integrator.formulation.seen(build())
+    rig = integrator.formulation.modelled(build())
     start = jc.assemble(rig)
     shares = 1 + SPREAD * jnp.arange(BATCH)[:, None]
 

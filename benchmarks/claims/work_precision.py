@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any
 
 import jax
-from benchmarks.measure import about, date
+from benchmarks.measure import about, date, report
 from benchmarks.trade.curves import Curves, curves
 from benchmarks.trade.questions import SCENES
 from jaxclear.plot.canvas import canvas, captioned
@@ -231,9 +231,7 @@ def main() -> None:
         if options.json:
             draw(scene, rows, options.figures)
     for cost, title in SUMMARY.items():
-        print(f"\n{title}")
-        for row in summary(document, cost):
-            print("  ".join("-" if value is None else str(value) for value in row.values()))
+        report(title, summary(document, cost), argparse.Namespace(json=None))
 
 
 if __name__ == "__main__":

@@ -123,8 +123,7 @@ def mechanism(clearance: float = CLEARANCE) -> jc.Mechanism:
     """The rig in jaxclear: the scene at this speed, without gravity."""
     steel = jc.Material(YOUNG, POISSON)
     contact = jc.contact.LankaraniNikravesh(
-        stiffness=jc.stiffness.HertzStiffness(steel, steel),
-        restitution=RESTITUTION,
+        stiffness=jc.stiffness.HertzStiffness(steel, steel), restitution=RESTITUTION
     )
     return jc.scenes.slider_crank(
         clearance=clearance, contact=contact, crank_speed=SPEED, gravity=None

@@ -3,8 +3,9 @@ accuracy, alone and in a Monte Carlo.
 
 Every program solves the rig of `peers.rig` and returns the slider's place at the saving times and
 the peak contact force. Each is held against its law's reference (scipy, event by event), takes the
-coarsest setting from which three in a row meet the accuracy asked, and is timed there. What is not
-installed is left out with a word: `pip install ".[test,peers]"` brings all.
+coarsest setting from which three in a row meet the accuracy asked, and is timed there; "agreement"
+is the error of its finest run. What is not installed is left out with a word: `pip install
+".[test,peers]"` brings all.
 """
 
 import functools
@@ -290,15 +291,6 @@ def main() -> None:
     if options.short:
         sign("benchmarks.peers.slider_crank", options.json, [title])
         return
-    print(f"{turns:g} turns of the crank, {question.duration * 1e3:.3g} ms; no gravity.")
-    print(
-        f"Accuracy asked: {rig.PLACE_ACCURACY:g} m in the slider's place, {rig.FORCE_ACCURACY:g} "
-        "in the peak force."
-    )
-    print(
-        "Errors are against the reference of the program's own law; agreement: the same of its "
-        "finest run on the ladder."
-    )
     report("references: scipy, event by event", reference_rows(question), options)
     found = []
     for program in all_programs(question):

@@ -126,13 +126,6 @@ def slider_crank(speed: float = 50.0, clearance: float = 0.1e-3, share: float = 
     return Question(problem, ("NonColliding",))
 
 
-def ideal_slider_crank(speed: float = 50.0, share: float = 1.0) -> Question:
-    """The scene without clearance, a turn."""
-    rig = jc.scenes.slider_crank("ideal", crank_speed=speed)
-    asked = _reactions("B") | {"place": jc.response.FinalCoordinate("G", unit="m")}
-    return Question(jc.Problem(rig, asked, _mass("rod"), duration=share * 6.0 / speed, save=SAVES))
-
-
 def four_bar(
     kind: str, speed: float = 10.0, clearance: float = 0.2e-3, share: float = 1.0
 ) -> Question:
@@ -147,14 +140,6 @@ def four_bar(
     return Question(problem, ("NonColliding",))
 
 
-def ideal_four_bar(speed: float = 10.0, share: float = 1.0) -> Question:
-    """The scene without clearance, a turn."""
-    rig = jc.scenes.four_bar("ideal", crank_speed=speed)
-    asked = _reactions("B") | {"place": jc.response.FinalCoordinate("D")}
-    problem = jc.Problem(rig, asked, _mass("coupler"), duration=share * 6.28 / speed, save=SAVES)
-    return Question(problem)
-
-
 def guide(speed: float = 5.0, clearance: float = 0.1e-3, share: float = 1.0) -> Question:
     """The scene with smooth friction (the paper's own transition speed makes explicit steps
     absurdly short)."""
@@ -166,28 +151,12 @@ def guide(speed: float = 5.0, clearance: float = 0.1e-3, share: float = 1.0) -> 
     return Question(jc.Problem(rig, asked, _clearance("P"), duration=duration, save=SAVES))
 
 
-def ideal_guide(speed: float = 5.0, share: float = 1.0) -> Question:
-    """The scene without clearance, a turn."""
-    rig = jc.scenes.guide("ideal", crank_speed=speed)
-    asked = _reactions("P") | {"place": jc.response.FinalCoordinate("C")}
-    return Question(
-        jc.Problem(rig, asked, _mass("slider"), duration=share * 6.28 / speed, save=SAVES),
-    )
-
-
 def antenna(clearance: float = 0.2e-3, duration: float = 0.1) -> Question:
     """The scene with friction that is a function of the speed, at the start of its manoeuvre."""
     rig = jc.scenes.antenna("spatial", clearance, friction="regularised")
     asked = {"pointing": jc.response.PointingAngle(TIP, BASE)} | _forces("J1")
     problem = jc.Problem(rig, asked, _clearance("J1", "J2"), duration=duration, save=SAVES)
     return Question(problem, ("MoreauJean", "FixedStep, contact_steps"))
-
-
-def ideal_antenna(duration: float = 1.0) -> Question:
-    """The scene without clearance, a second."""
-    rig = jc.scenes.antenna("ideal")
-    asked = _reactions("J1") | {"place": jc.response.FinalCoordinate("J2")}
-    return Question(jc.Problem(rig, asked, _mass("link1"), duration=duration, save=SAVES))
 
 
 def flap(clearance: float = 0.1e-3, share: float = 1.0) -> Question:
@@ -205,15 +174,6 @@ def flap(clearance: float = 0.1e-3, share: float = 1.0) -> Question:
     return Question(problem, ("MoreauJean",), 1e-7)
 
 
-def ideal_flap(share: float = 1.0) -> Question:
-    """The scene without clearance, a stroke and most of the way back."""
-    asked = _reactions("J1") | {"place": jc.response.FinalCoordinate("O2")}
-    problem = jc.Problem(
-        jc.scenes.flap("ideal"), asked, _mass("rod 1"), duration=share * 0.2, save=SAVES
-    )
-    return Question(problem)
-
-
 def parallel_3rsr(period: float, duration: float, clearance: float = 0.5e-3) -> Question:
     """The scene with wear, part of a cycle: the ball falls through its play and bounces."""
     rig = jc.scenes.parallel_3rsr("one", clearance, period=period)
@@ -222,27 +182,34 @@ def parallel_3rsr(period: float, duration: float, clearance: float = 0.5e-3) -> 
     return Question(jc.Problem(rig, asked, _clearance("S1"), duration=duration, save=SAVES))
 
 
-def ideal_parallel_3rsr(share: float = 1.0) -> Question:
-    """The scene without clearance, a cycle."""
-    rig = jc.scenes.parallel_3rsr("ideal", period=QUIET)
-    asked = _reactions("S1") | {"place": jc.response.FinalCoordinate("B1")}
-    problem = jc.Problem(rig, asked, _mass("rod 1"), duration=share * QUIET, save=SAVES)
-    return Question(problem)
+def ideal(rig: jc.Mechanism, joint: str, body: str, place: Any, duration: float) -> Question:
+    """A scene without clearance: reactions in a joint and a last coordinate, by a body's mass."""
+    asked = _reactions(joint) | {"place": place}
+    return Question(jc.Problem(rig, asked, _mass(body), duration=duration, save=SAVES))
 
 
+Place = jc.response.FinalCoordinate
 SCENES: dict[str, Callable[[], Question]] = {
     "slider-crank": slider_crank,
-    "slider-crank, ideal": ideal_slider_crank,
+    "slider-crank, ideal": lambda: ideal(
+        jc.scenes.slider_crank("ideal"), "B", "rod", Place("G", unit="m"), 0.12
+    ),
     "four-bar, planar": lambda: four_bar("planar"),
     "four-bar, spatial": lambda: four_bar("spatial"),
-    "four-bar, ideal": ideal_four_bar,
+    "four-bar, ideal": lambda: ideal(
+        jc.scenes.four_bar("ideal"), "B", "coupler", Place("D"), 0.628
+    ),
     "guide": guide,
-    "guide, ideal": ideal_guide,
+    "guide, ideal": lambda: ideal(
+        jc.scenes.guide("ideal", crank_speed=5.0), "P", "slider", Place("C"), 1.256
+    ),
     "antenna": antenna,
-    "antenna, ideal": ideal_antenna,
+    "antenna, ideal": lambda: ideal(jc.scenes.antenna("ideal"), "J1", "link1", Place("J2"), 1.0),
     "flap": flap,
-    "flap, ideal": ideal_flap,
+    "flap, ideal": lambda: ideal(jc.scenes.flap("ideal"), "J1", "rod 1", Place("O2"), 0.2),
     "3RSR, quiet": lambda: parallel_3rsr(QUIET, 0.25 * QUIET),
     "3RSR, rattling": lambda: parallel_3rsr(RATTLING, RATTLING / 3),
-    "3RSR, ideal": ideal_parallel_3rsr,
+    "3RSR, ideal": lambda: ideal(
+        jc.scenes.parallel_3rsr("ideal", period=QUIET), "S1", "rod 1", Place("B1"), QUIET
+    ),
 }

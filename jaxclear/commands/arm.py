@@ -237,17 +237,16 @@ def error_figure(runs: Mapping[str, Any], commanded: Any) -> Figure:
 
 
 def loop_figure(run: Any, table: pandas.DataFrame) -> Figure:
-    """Joint less motor over the joint's way, forwards and back: of the first joint, which no weight
-    presses, and of the second, which carries the arm."""
-    figure, axes = canvas(1, 2, (9.0, 4.0))
+    """Joint less motor over each joint's way, forwards and back."""
+    figure, axes = canvas(2, 4, (12.0, 5.5), squeeze=False)
     second = np.asarray(run.time) >= PERIOD
-    for axis, name in zip(axes, JOINTS, strict=False):
+    for axis, name, loss in zip(axes.flat, JOINTS, table["loses [arcmin]"], strict=False):
         angle = np.asarray(run.coordinate(name)) - LIFTED[JOINTS.index(name)]
-        axis.plot(MILLI * angle[second], twist(run, name)[second] / ARCMIN, color="C0", lw=1.0)
-        loss = table["loses [arcmin]"][JOINTS.index(name)]
+        axis.plot(angle[second] / ARCMIN, twist(run, name)[second] / ARCMIN, color="C0", lw=1.0)
         axis.set_title(f"{name}: loses {loss:.2f} arcmin", fontsize=9)
-        axis.set_xlabel("angle of the joint about the lifted arm [mrad]")
-    axes[0].set_ylabel("joint less motor [arcmin]")
+        axis.set_xlabel("joint about the lifted arm [arcmin]", fontsize=8)
+        axis.set_ylabel("joint less motor [arcmin]", fontsize=8)
+    axes.flat[-1].remove()
     return warned(figure, {"": run})
 
 
@@ -305,9 +304,13 @@ def study(folder: Path, samples: int = 128, show: bool = True) -> None:
     chosen = named([design.nominal[name] < 2 * REDUCED for name in JOINTS])
     files.write_tables(**tables, samples=sample.table(), design=design.table())
     for name, table in tables.items():
-        print(f"{name.replace('_', ' ')}\n{table.head(10).to_string()}\n")
+        print(f"{name.replace('_', ' ')}\n{table.head(10)}\n")
     report_samples(sample)
-    print(f"{design}\nreduced play in joints {chosen}; by enumeration {three['reduced play in']}")
+    errors = MILLI * np.asarray(sample.responses["tip error"])
+    print(f"Tip error {errors.mean():.4g} mm, standard deviation {errors.std():.2g} mm.")
+    plays = {name: f"{float(play) / ARCMIN:.3g}" for name, play in design.nominal.items()}
+    print(f"{design.sentence()} Plays [arcmin]: {', '.join(map(' '.join, plays.items()))}.")
+    print(f"Reduced play in joints {chosen}; by enumeration {three['reduced play in']}.")
     files.write_figures(
         tip_error=error_figure(runs, commanded),
         lost_motion=loop_figure(loop, tables["lost_motion"]),

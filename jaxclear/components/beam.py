@@ -273,8 +273,8 @@ def without_pieces(
     """Bodies, connections and loads of a mechanism without these pieces of beams (None: all), their
     hinges and their elasticity; markers on them lie on the beams."""
     if pieces is None:
-        pieces = {n: own for n, own in dict.items(bodies) if isinstance(own, Piece)}
-    beams = {own.beam for own in pieces.values()}
+        pieces = {n: body for n, body in dict.items(bodies) if isinstance(body, Piece)}
+    beams = {body.beam for body in pieces.values()}
 
     def on_beam(marker):
         if marker.body not in pieces:
@@ -282,14 +282,14 @@ def without_pieces(
         piece, (along, *across) = pieces[marker.body], marker.at or (0.0, 0.0)
         return with_fields(marker, body=piece.beam, at=(along + piece.place, *across))
 
-    def is_part(own):
-        if not isinstance(own, Connection):
-            return isinstance(own, _Elasticity) and own.name in beams
-        ends = own.parent, own.child
-        return own.child.body in pieces and len({on_beam(end).body for end in ends}) == 1
+    def is_part(part):
+        if not isinstance(part, Connection):
+            return isinstance(part, _Elasticity) and part.name in beams
+        ends = part.parent, part.child
+        return part.child.body in pieces and len({on_beam(end).body for end in ends}) == 1
 
-    kept = ({n: x for n, x in parts.items() if not is_part(x)} for parts in (connections, loads))
-    connections, loads = (_moved(on_beam, parts) for parts in kept)
+    rest = ({n: x for n, x in parts.items() if not is_part(x)} for parts in (connections, loads))
+    connections, loads = (_moved(on_beam, parts) for parts in rest)
     return {n: x for n, x in dict.items(bodies) if n not in pieces}, connections, loads
 
 
@@ -297,7 +297,7 @@ def _moved(move: Callable[[Marker], Marker], parts: Mapping[str, Any]) -> dict[s
     """Parts with every marker moved."""
     one = lambda x: move(x) if isinstance(x, Marker) else x
     leaf = lambda x: isinstance(x, Marker)
-    return {n: jax.tree.map(one, own, is_leaf=leaf) for n, own in parts.items()}
+    return {n: jax.tree.map(one, part, is_leaf=leaf) for n, part in parts.items()}
 
 
 def on_piece(bodies: Mapping[str, Any], marker: Marker, built: Sequence[str] = ()) -> Marker:

@@ -39,12 +39,12 @@ from jaxclear.ground.quantity import Scalar, quantity
 
 class Line(NamedTuple):
     """Where a journal touches. It comes closest `towards` a direction, goes through an arc of half
-    that angle [rad] about it (with cosine and sine, `turned`), and overlaps by `fall` [m] less at
+    that angle [rad] about it (with cosine and sine, `rotation`), and overlaps by `fall` [m] less at
     the other `end`; that by which the overlap falls over half a cell at most (`steepest`) [m]."""
 
     towards: tuple[Scalar, ...]
     half_arc: Scalar
-    turned: tuple[Scalar, Scalar]
+    rotation: tuple[Scalar, Scalar]
     fall: Scalar
     end: Scalar
     steepest: Scalar
@@ -60,6 +60,7 @@ class CylinderMap(AbstractRound):
     """
 
     axes: ClassVar = 2
+    width: ClassVar = (3, -1.0)
     radius: Scalar = quantity(unit="m", meaning="radius of the wall", above=0)
     length: Scalar = quantity(unit="m", meaning="length of the wall", above=0)
     clearance: Scalar = quantity(unit="m", meaning="radial clearance in it", above=0)
@@ -110,22 +111,22 @@ class CylinderMap(AbstractRound):
         root = 0.5 * jnp.pi * area * safe_sqrt(depth) * half_width
         root = root * (1.0 - 0.5 * ends * touching / self.length)
         # A little less than it sinks in.
-        whole = 4 / 3 * self.radius * self.length * safe_sqrt(2.0 / clearance)
-        parallel = (volume + overlap) / whole
+        total = 4 / 3 * self.radius * self.length * safe_sqrt(2.0 / clearance)
+        parallel = (volume + overlap) / total
         tilted = power(2.5 * fallen * parallel, jnp.asarray(0.4))
-        sunk = jnp.maximum(jnp.cbrt(parallel) ** 2, tilted)
+        deepest = jnp.maximum(jnp.cbrt(parallel) ** 2, tilted)
         column = direction_angle(*towards) / self.pitch - 0.5
         row = jnp.where(end > 0, self.cells[1] - 1, 0)
-        turned = jnp.cos(half_arc), jnp.sin(half_arc)
+        rotation = jnp.cos(half_arc), jnp.sin(half_arc)
         steepest = (0.5 / self.cells[1]) * self.coarse_along * jnp.abs(fall)
-        place = Line(towards, half_arc, turned, fall, end, steepest)
-        return Contact(volume, overlap, root, sunk, column, row, place)
+        place = Line(towards, half_arc, rotation, fall, end, steepest)
+        return Contact(volume, overlap, root, deepest, column, row, place)
 
     def in_columns(self, contact, column):
         """Angle between a column and the middle of the arc [rad, 0 to pi]; cosine and size of the
         sine of that between it and the arc; without a direction all columns are in it."""
         x, y = block_row(half_steps(self.cells[0]), column, self.coarseness)
-        towards, (c, s) = contact.place.towards, contact.place.turned
+        towards, (c, s) = contact.place.towards, contact.place.rotation
         cosine = x * towards[0] + y * towards[1]
         sine = jnp.abs(x * towards[1] - y * towards[0])
         inside = cosine >= c
@@ -140,11 +141,11 @@ class CylinderMap(AbstractRound):
         away = 0.5 * jnp.abs(line.end) - line.end * self.height(row) / self.length
         kink = SHARPEST * self.clearance
         rounding = self.least_overlap(self.cell)[0] * sine + line.steepest * jnp.abs(cosine) + kink
-        room, fallen = self.clearance + depth, line.fall * away
-        outline = Outline(cosine, room + fallen * cosine, rounding)
-        nearest = Outline(1.0, room + fallen, line.steepest + kink)
+        margin, fallen = self.clearance + depth, line.fall * away
+        outline = Outline(cosine, margin + fallen * cosine, rounding)
+        nearest = Outline(1.0, margin + fallen, line.steepest + kink)
         half = arc_with_cell(line.half_arc, self.cell)
-        return Patch(outline, nearest, along, half, room, 1.0 - away, contact.root)
+        return Patch(outline, nearest, along, half, margin, 1.0 - away, contact.root)
 
     def start(self, contact, depth):
         # At the end that carries, in the first column in the arc, or the nearest to it.
@@ -154,7 +155,7 @@ class CylinderMap(AbstractRound):
         nearest = jnp.floor(middle + (OFF_THE_TIES - 0.5))
         column = jnp.where(first <= middle + half_arc, first, nearest).astype(int)
         edge = entry(depth, (column % self.cells[0], contact.row))
-        return self.clearance + edge + contact.sunk
+        return self.clearance + edge + contact.deepest
 
     def touched(self, contact, level):
         line, (around, along) = contact.place, self.cells

@@ -175,8 +175,8 @@ class MobileJournal(AbstractJointLoad):
                 return jnp.stack(self.film.squeeze_force(place, (squeeze[0], squeeze[1]))), place
 
             def improve(squeeze, moving):
-                found = lambda x: force_at(x, moving)[0]
-                value, (along, across) = found(squeeze), jax.jacfwd(found)(squeeze).T
+                force_of = lambda x: force_at(x, moving)[0]
+                value, (along, across) = force_of(squeeze), jax.jacfwd(force_of)(squeeze).T
                 short = target - value
                 size = along[0] * across[1] - along[1] * across[0]
                 first = safe_divide(short[0] * across[1] - short[1] * across[0], size)

@@ -167,7 +167,7 @@ class _ServoOnMotor(AbstractStateLoad):
         return self.servo.states()
 
     def effect(self, time, positions, speeds, states):
-        torque, rates = self.servo.acting(time, *self._seen(positions, speeds), states)
+        torque, rates = self.servo.acting(time, *self._reading(positions, speeds), states)
         force = torque / self.end.ratio
         others = (0,) * (len(positions) - 1)
         return CoordinateEffect((*others, force), rates, 0, 0, force * speeds[-1])
@@ -176,10 +176,10 @@ class _ServoOnMotor(AbstractStateLoad):
         return self.servo.period
 
     def sampled(self, time, positions, speeds, states):
-        position, speed = self._seen(positions, speeds)
+        position, speed = self._reading(positions, speeds)
         return self.servo.sampled(time, (position,), (speed,), states)
 
-    def _seen(self, positions: tuple, speeds: tuple) -> tuple[Any, Any]:
+    def _reading(self, positions: tuple, speeds: tuple) -> tuple[Any, Any]:
         """What the encoder tells of the joint."""
         if self.servo.encoder == "load":
             return positions[0], speeds[0]

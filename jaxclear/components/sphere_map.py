@@ -58,7 +58,7 @@ class Swept(NamedTuple):
         """As of an `Outline`: means over what a cell has of the arc, and of the parabolas beyond
         it."""
         overlap, share = self.nearest.at(level)
-        width = safe_sqrt(2.0 * safe_divide(overlap, self.nearest.room))
+        width = safe_sqrt(2.0 * safe_divide(overlap, self.nearest.margin))
 
         def until(place):
             inside = jnp.clip(place, -self.half, self.half)
@@ -159,6 +159,7 @@ class SphereMap(AbstractRound):
     """
 
     axes: ClassVar = 3
+    width: ClassVar = (8, -2.0)
     extent: ClassVar = math.pi
     radius: Scalar = quantity(unit="m", meaning="radius of the socket", above=0)
     clearance: Scalar = quantity(unit="m", meaning="radial clearance in it", above=0)
@@ -218,9 +219,9 @@ class SphereMap(AbstractRound):
         area = self.radius * self.radius * half_width
         overlap = area * depth * (0.5 * jnp.pi * half_width + 8 / 3 * half_arc)
         root = 2 / 3 * jnp.pi * area * safe_sqrt(depth) * half_width
-        sunk = safe_sqrt((volume + overlap) * self.clearance / jnp.pi) / self.radius
+        deepest = safe_sqrt((volume + overlap) * self.clearance / jnp.pi) / self.radius
         place = Point(normal, length > 0, travel, half_arc)
-        return Contact(volume, overlap, root, sunk, *self.position(*normal), place)
+        return Contact(volume, overlap, root, deepest, *self.position(*normal), place)
 
     def in_columns(self, contact, column):
         """Cosine and sine of the azimuth."""
@@ -248,12 +249,12 @@ class SphereMap(AbstractRound):
         # Without a direction all are as near.
         cosine = jnp.where(point.directed, across, 1.0)
         away = jnp.where(point.directed, direction_angle(ahead, jnp.abs(sideways)), 0.0)
-        room = self.clearance + depth
-        nearest = Outline(cosine, room, self.clearance * (0.5 * extent(a, b) + SHARPEST))
+        margin = self.clearance + depth
+        nearest = Outline(cosine, margin, self.clearance * (0.5 * extent(a, b) + SHARPEST))
         long = extent(-b, a) + SHARPEST
         outline = Swept(nearest, away, point.half_arc, long)
         half = arc_with_cell(point.half_arc, long)
-        return Patch(outline, nearest, away, half, room, 1.0, contact.root)
+        return Patch(outline, nearest, away, half, margin, 1.0, contact.root)
 
     def start(self, contact, depth):
         # In the middle of its arc. Between two cells either rounding must choose the same.
@@ -261,7 +262,7 @@ class SphereMap(AbstractRound):
         place, off = (contact.column, contact.row), OFF_THE_TIES - 0.5
         column, row = (jnp.floor(each + off).astype(int) for each in place)
         there = entry(depth, (column % around, jnp.clip(row, 0, along - 1)))
-        return self.clearance + there + contact.sunk
+        return self.clearance + there + contact.deepest
 
     def touched(self, contact, level):
         # Those of a cap about its mean direction.

@@ -18,6 +18,7 @@ pressure is that after the loss, so a loss brings the wall at most to the shape 
 cut it. Where a contact is narrower than two cells, the loss is that of one as wide as these.
 """
 
+import dataclasses
 import functools
 import math
 from abc import abstractmethod
@@ -36,6 +37,7 @@ from jaxclear.ground.numerics import (
     arc_sine,
     direction_angle,
     positive_part,
+    power,
     safe_divide,
     safe_sqrt,
 )
@@ -64,14 +66,14 @@ Place = tuple[Int[Array, ""], Int[Array, ""]]
 class Contact(NamedTuple):
     """A part that takes a `volume` [m3] off a surface. What its load overlaps on a wall without
     wear: the integrals of that `overlap` [m3] over all of its way, and of its `root` [m2.5] over
-    the contact; how deep it would sink into that wall once the volume is lost (`sunk`) [m]; where
-    it is in the mean, in units of cells (`column`, `row`), and what else the surface's metric tells
-    of its `place`."""
+    the contact; how deep it would sink into that wall once the volume is lost (`deepest`) [m];
+    where it is in the mean, in units of cells (`column`, `row`), and what else the surface's metric
+    tells of its `place`."""
 
     volume: Scalar
     overlap: Scalar
     root: Scalar
-    sunk: Scalar
+    deepest: Scalar
     column: Scalar
     row: Scalar
     place: Any
@@ -86,17 +88,17 @@ class Contact(NamedTuple):
 
 
 class Outline(NamedTuple):
-    """How a part at eccentricity e [m] overlaps cells: by e `cosine` - `room`; `rounding`: half the
-    change of that across a cell [m]."""
+    """How a part at eccentricity e [m] overlaps cells: by e `cosine` - `margin`; `rounding`: half
+    the change of that across a cell [m]."""
 
     cosine: Array | Scalar
-    room: Depth
+    margin: Depth
     rounding: Array | Scalar
 
     def at(self, level: Scalar) -> tuple[Array, Array]:
         """(mean over each cell of the overlap [m], where there is one; share of the cell where
         there is) at an eccentricity [m]."""
-        middle = level * self.cosine - self.room
+        middle = level * self.cosine - self.margin
         inside = jnp.clip(middle + self.rounding, 0.0, 2.0 * self.rounding)
         share = inside * (0.5 / self.rounding)
         return 0.5 * inside * share + jnp.maximum(middle - self.rounding, 0.0), share
@@ -107,7 +109,7 @@ class Patch(NamedTuple):
 
     `outline`: of all that it overlaps on its way; `nearest`: when it comes closest to the cells;
     these lie `along` the arc [rad, 0 to pi] from its middle; `half` the arc [rad], with the width
-    of a cell; `room` between the parts [m], centred, on the worn wall; `share` of the pressure
+    of a cell; `margin` between the parts [m], centred, on the worn wall; `share` of the pressure
     there that is this contact's; `root`: as of its `Contact`.
     """
 
@@ -115,7 +117,7 @@ class Patch(NamedTuple):
     nearest: Outline
     along: Array
     half: Array
-    room: Depth
+    margin: Depth
     share: Array | Scalar
     root: Scalar
 
@@ -138,7 +140,7 @@ class Patch(NamedTuple):
         passes a cell, the overlap there is a parabola of the angle between both."""
         overlap = self.nearest.at(level)[0]
         # An overlap e - room that falls as e cos does vanishes where 1 - cos is this.
-        fallen = overlap / (overlap + self.room)
+        fallen = overlap / (overlap + self.margin)
         half_width = 2.0 * arc_sine(safe_sqrt(0.5 * fallen))
         first, last = self.along + self.half, self.along - self.half
         around = first - 2.0 * jnp.pi
@@ -286,14 +288,14 @@ class AbstractSurface(AbstractWearMap):
         reach = math.ceil(REACH * around / (2 * math.pi))
         width = 2 * reach + 1
 
-        def lost(columns, part, contact):
+        def loss_at(columns, part, contact):
             shared = self.in_columns(contact, columns)
             shared = jax.tree.map(lambda each: each[:, None], shared)
             patch = self.patch(contact, shared, jnp.arange(self.cells[1]), part)
             return self.loss(contact, patch, self.start(contact, depth))
 
         def wide():
-            losses = lambda *event: lost(jnp.arange(around), depth, self.contact(*event))[0]
+            losses = lambda *event: loss_at(jnp.arange(around), depth, self.contact(*event))[0]
             return depth + jnp.sum(jax.vmap(losses)(volume, features), axis=0)
 
         if width >= around:
@@ -303,7 +305,7 @@ class AbstractSurface(AbstractWearMap):
             contact = self.contact(*event)
             first = jnp.floor(contact.column).astype(int) - reach
             columns = (first + jnp.arange(width)) % around
-            loss, level = lost(columns, jnp.roll(depth, -first, axis=0)[:width], contact)
+            loss, level = loss_at(columns, jnp.roll(depth, -first, axis=0)[:width], contact)
             touched = self.touched(contact, level)
             inside = (touched.first >= first) & (touched.columns <= width + first - touched.first)
             spread = jnp.pad(loss, ((0, around - width), (0, 0)))
@@ -402,7 +404,7 @@ class AbstractSurface(AbstractWearMap):
         target = contact.removed + contact.overlap
 
         def turn(now):
-            count, turns_left, level = now
+            count, turns, level = now
 
             def visit(column, place, sums):
                 patch = self.patch(contact, column, place[1], entry(depth, place))
@@ -417,7 +419,7 @@ class AbstractSurface(AbstractWearMap):
             shared = functools.partial(self.in_columns, contact)
             sums = through(touched, self.cells, visit, nothing, False, shared)
             near, level = _next_level(level, target, *sums)
-            return count + 1, jnp.where(near, turns_left - 1, turns_left), level
+            return count + 1, jnp.where(near, turns - 1, turns), level
 
         first = jnp.zeros((), int), jnp.full((), LAST_STEPS), self.start(contact, depth)
         return while_loop(lambda now: (now[1] > 0) & (now[0] < MOST_STEPS), turn, first)[2]
@@ -428,8 +430,18 @@ class AbstractRound(AbstractSurface):
 
     # How many of the features are the mean direction.
     axes: ClassVar[int]
+    # Which one is a power of the contact's half width, and which [1].
+    width: ClassVar[tuple[int, float]]
     radius: eqx.AbstractVar[Scalar]
     clearance: eqx.AbstractVar[Scalar]
+
+    def facing(self, loss, features):
+        # Thinner all round, as what turns against its load becomes.
+        clearance, (index, exponent) = self.clearance + loss, self.width
+        # The square of a half width is inversely as the clearance.
+        factors = [1.0] * features.shape[-1]
+        factors[index] = power(clearance / self.clearance, jnp.asarray(-0.5 * exponent))
+        return dataclasses.replace(self, clearance=clearance), features * jnp.stack(factors)
 
     @property
     @abstractmethod

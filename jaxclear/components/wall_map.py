@@ -192,12 +192,12 @@ class WallMap(AbstractSurface):
         deepest = face.depth + positive_part(-fall)
         overlap = self.breadth * (face.overlap() + 2.0 * half * deepest)
         root = self.breadth * face.share(0.0, self.face)
-        sunk = _corner_depth((volume + overlap) / self.breadth, self.face, half, slope)
+        reach = _corner_depth((volume + overlap) / self.breadth, self.face, half, slope)
         corner = middle + 0.5 * end * self.face
         # The cell that the corner has left behind.
         row = self.row(corner - 0.5 * end * self.cell)
         place = Corner(end, corner, half, slope)
-        return Contact(volume, overlap, root, sunk, side, row, place)
+        return Contact(volume, overlap, root, reach, side, row, place)
 
     def in_columns(self, contact, column):
         """1 of the wall that is worn, 0 of the other."""
@@ -218,7 +218,7 @@ class WallMap(AbstractSurface):
 
     def start(self, contact, depth):
         row = jnp.clip(jnp.round(_number(contact.row)), 0, self.cells[1] - 1).astype(int)
-        return entry(depth, (jnp.asarray(contact.column).astype(int), row)) + contact.sunk
+        return entry(depth, (jnp.asarray(contact.column).astype(int), row)) + contact.deepest
 
     def touched(self, contact, level):
         # All cells that the face comes to.

@@ -68,6 +68,19 @@ class AbstractWearMap(AbstractQuantified):
 
     cells: eqx.AbstractVar[tuple[int, int]]
 
+    def facing(self, loss: Any, features: Array) -> tuple["AbstractWearMap", Array]:
+        """What a loss is put on where the other part has become thinner; as it is unless
+        overridden.
+
+        Args:
+            loss: mean depth that the other part has lost [m].
+            features: location features of each event, an array (events, n).
+
+        Returns:
+            the map and the features.
+        """
+        return self, features
+
     @property
     def flat(self) -> bool:
         """Whether it is that of flat walls, which a part can leave: locations are then no numbers,

@@ -69,12 +69,10 @@ class Bounds(NamedTuple):
         share = getattr(self.promise, row.part, None)
         return None if share is None else share * row.scale
 
-    def promised(self, row: Difference) -> float | None:
-        """The same as a share."""
+    def tolerance(self, row: Difference) -> float | None:
+        """The same as a share; None of what is 0 throughout, too."""
         most = self.allowed(row)
-        if most is None:
-            return None
-        return most / row.scale if row.scale > 0 else np.inf
+        return most / row.scale if most is not None and row.scale > 0 else None
 
     def compare(self, run: Trajectory, one: Observed, other: Observed) -> dict[str, float]:
         """By answer how far two runs are apart, beside what is allowed."""

@@ -58,7 +58,7 @@ class Rung(NamedTuple):
 
     def work_before(self, setting: AbstractIntegrator, times: np.ndarray) -> float | None:
         """The same before the run, saved at these times [s]; None where steps follow the motion."""
-        step, counted = setting.asked_step(), setting.steps_between_saves
+        step, counted = setting.requested_step(), setting.steps_between_saves
         if counted is not None:
             return float(self.evaluations * counted * (len(times) - 1))
         if step is None:
@@ -68,7 +68,7 @@ class Rung(NamedTuple):
 
     def share(self, setting: AbstractIntegrator, finer: AbstractIntegrator) -> float | None:
         """The share of its steps that a finer setting has; None where nobody knows."""
-        step, shorter = setting.asked_step(), finer.asked_step()
+        step, shorter = setting.requested_step(), finer.requested_step()
         return None if step is None or shorter is None else float(shorter / step)
 
 

@@ -15,6 +15,7 @@ from jaxtyping import Bool, Float
 
 from jaxclear.components.surface import AbstractSurface
 from jaxclear.errors.observables import named
+from jaxclear.ground.argument_errors import Renamed
 from jaxclear.ground.numerics import safe_divide
 from jaxclear.ground.quantity import is_traced
 from jaxclear.ground.table import as_table
@@ -39,8 +40,8 @@ WORDS = {
 
 class StandardAnswer(NamedTuple):
     """A standard `answer` of a `part` of the promise at a `place`, its `value` and told `error` in
-    its `unit`, the error as the `share` by which it is judged, what is `promised` of it (None:
-    nothing), and whether it is `lost`: no run tells it."""
+    its `unit`, the error as the `share` by which it is judged, its `tolerance` share (None:
+    any error is right), and whether it is `lost`: no run tells it."""
 
     answer: str
     part: str
@@ -49,8 +50,12 @@ class StandardAnswer(NamedTuple):
     value: float
     error: float
     share: float
-    promised: float | None
+    tolerance: float | None
     chaotic: bool
+
+    @property
+    def promised(self) -> Any:
+        return Renamed("tolerance", "promised").__get__(self, type(self))
 
     @property
     def name(self) -> str:
@@ -60,7 +65,7 @@ class StandardAnswer(NamedTuple):
     @property
     def beyond(self) -> bool:
         """Whether the error is beyond what is promised."""
-        return self.promised is not None and not self.share <= self.promised
+        return self.tolerance is not None and not self.share <= self.tolerance
 
 
 class Verified(AbstractVerification):
@@ -82,6 +87,7 @@ class Verified(AbstractVerification):
     remedy: str = eqx.field(static=True)
     why: str = eqx.field(static=True, default="")
     coarser: Trajectory | None = None
+    promised = Renamed("tolerance")
 
     @property
     def entries(self) -> tuple[StandardAnswer, ...]:
@@ -98,7 +104,7 @@ class Verified(AbstractVerification):
 
     @property
     def warnings(self):
-        beyond = sorted((t for t in self.entries if t.beyond), key=lambda t: -t.share / t.promised)
+        beyond = sorted((t for t in self.entries if t.beyond), key=lambda t: -t.share / t.tolerance)
         answers = [row for row in beyond if not row.chaotic]
         return (self._sentence(answers),) if answers else ()
 
@@ -116,7 +122,7 @@ class Verified(AbstractVerification):
         """What is off, by how much, and what to do, of the answers that are furthest beyond."""
         worst, others = beyond[0], len(beyond) - 1
         more = f", and {others} more answer{'s' * (others > 1)}" if others else ""
-        error = f"{worst.share:.2g} {WORDS[worst.part]} (tolerance {worst.promised:g})"
+        error = f"{worst.share:.2g} {WORDS[worst.part]} (tolerance {worst.tolerance:g})"
         cells = "; " if self.coarser is None or worst.part != "losses" else "; more cells, or "
         name = f"{worst.name[0].upper()}{worst.name[1:]}"
         return f"{name}: error about {error}{more}{cells}{self.remedy}."
@@ -149,12 +155,12 @@ class Verified(AbstractVerification):
             return f"the change with {steps} and with wider cells{since}"
         return f"twice the change with {steps}{since}"
 
-    def promised(self, response: Any) -> float | None:
+    def tolerance(self, response: Any) -> float | None:
         """The share that is promised of a response; None for nothing."""
         return getattr(self.promise, PART_OF.get(needs_of(response), ""), None)
 
     def table(self):
-        fields = ("name", "value", "error", "unit", "share", "promised")
+        fields = ("name", "value", "error", "unit", "share", "tolerance")
         rows = [[getattr(t, field) for field in fields] for t in self.entries]
         return as_table(rows, columns=TABLE_COLUMNS, errors={"value": "error"})
 

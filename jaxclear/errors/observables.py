@@ -15,11 +15,13 @@ from jaxtyping import Array, Float, Int
 
 from jaxclear.formulations.model import Instant
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.numerics import safe_divide
+from jaxclear.ground.numerics import safe_divide, safe_sqrt
 from jaxclear.ground.pose import REST
 from jaxclear.multibody import contact_point, kinematics
+from jaxclear.multibody.forces import load_rows
 from jaxclear.multibody.length_scales import is_gap, rooms
-from jaxclear.multibody.system import longest_arm, wear_maps
+from jaxclear.multibody.rows import wrench_in_joint
+from jaxclear.multibody.system import films_in, longest_arm, wear_maps
 from jaxclear.multibody.topology import motor_name, turns
 from jaxclear.native.compiled import AROUND_A_KERNEL, compiled_quickly
 from jaxclear.results import histories
@@ -46,7 +48,8 @@ class Observables(NamedTuple):
     force of each joint [N] (None: not known between saving times); what friction has taken and what
     was turned over [J] (None: no balance); worn volumes [m3], depths [m] and areas [m2] of the
     surfaces; the longest arm [m]; mean and peak of what couplings transmit [N m, N] (of `means_of`
-    and `peaks_of`), and the torque [N m] beside which none transmits anything."""
+    and `peaks_of`), and the torque [N m] beside which none transmits anything; the mean force of
+    each film [N]."""
 
     centres: Float[Array, "time bodies 3"]
     axes: Float[Array, "time bodies 9"]
@@ -64,6 +67,14 @@ class Observables(NamedTuple):
     mean_sent: Float[Array, " couplings"]
     peak_sent: Float[Array, " couplings"]
     idle: Float[Array, ""]
+    film_force: Float[Array, " films"]
+
+
+def films_of(run: Trajectory) -> dict[str, str]:
+    """Joints with a film whose force follows from the state, with the name of the film."""
+    if run.formulation.forces_are_means:
+        return {}
+    return {load.connection: name for name, load in films_in(run.mechanism).items()}
 
 
 def means_of(run: Trajectory) -> tuple[str, ...]:
@@ -126,10 +137,16 @@ def _observed(run: Trajectory) -> Observables:
             for link, motion in links
         )
         axes = tuple(tuple(x for row in m.pose.rotation for x in row) for _, m in links)
-        return centres, axes, _in_gaps(now), sent_at(history, now, coupled)
+        rows = {
+            joint: load_rows(system, now.motions, film, now.time, now.followed)[1]
+            for joint, film in films.items()
+        }
+        forces = [wrench_in_joint(of_film, joint).force for joint, of_film in rows.items()]
+        films_at = tuple(safe_sqrt(jnp.asarray(sp.dot(x, x), float)) for x in forces)
+        return centres, axes, _in_gaps(now), sent_at(history, now, coupled), films_at
 
-    coupled = _coupled(run)
-    *moved, sent = over_time(history, at)
+    coupled, films = _coupled(run), films_of(run)
+    *moved, sent, filmed = over_time(history, at)
     centres, axes, inside = (
         columns(each) if each else jnp.zeros((len(run.time), 0, k))
         for each, k in zip(moved, (3, 9, 3), strict=True)
@@ -171,6 +188,7 @@ def _observed(run: Trajectory) -> Observables:
         stacked([jnp.trapezoid(sent[name], run.time) / duration for name in means_of(run)]),
         stacked(peaks_sent),
         AT_REST * jnp.asarray(sp.total(heavy), float) * (longest_arm(system) / duration) ** 2,
+        stacked([jnp.trapezoid(force, run.time) / duration for force in filmed]),
     )
 
 
@@ -222,6 +240,12 @@ def differences(
         forces = [getattr(each, part) for each in (one, other, finest)]
         if forces[0] is not None and len(forces[0]):
             rows += _by_place(answer, part, "N", names, *forces)
+    films = films_of(run)
+    if films:
+        # A journal that its film carries has no contact of which anything is to be said.
+        rows = [row for row in rows if not (row.place in films and row.scale == 0)]
+        forces = [each.film_force for each in (one, other, finest)]
+        rows += _by_place("mean film force", "mean_force", "N", [*films], *forces)
     couplings = run.mechanism.couplings
     of_couplings = (("mean", "mean_force", means_of(run)), ("peak", "peak_force", peaks_of(run)))
     for kind, part, names in of_couplings:

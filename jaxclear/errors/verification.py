@@ -59,8 +59,8 @@ def replica(integrator: AbstractIntegrator, times: Any, share: float) -> Replica
     finer = round(1 / share)
     if integrator.steps_between_saves is not None:
         return Replica(integrator, refine_times(times, finer), finer)
-    if integrator.asked_step() is not None:
-        step = concrete(integrator.asked_step())
+    if integrator.requested_step() is not None:
+        step = concrete(integrator.requested_step())
         if step is None:
             return None
         share = share * step_taken(times, step) / step
@@ -183,7 +183,7 @@ def _verification(
         finer.append(bounds.observe(replicas[-1]))
         pairs = (bounds.differences(run, coarse, other, finer[-1]) for other in finer)
         rows = list(zip(*pairs, strict=True))
-        promised = np.array([_number(bounds.promised(row[-1])) for row in rows])
+        promised = np.array([_number(bounds.tolerance(row[-1])) for row in rows])
         shares = np.array([float(richardson([each.share for each in row])) for row in rows])
         if not np.any(~np.isnan(promised) & ~(shares <= DOUBT * promised)):
             break
@@ -267,7 +267,7 @@ def _find_chaotic(
     run and the same with its start `moved` are apart, in gaps by more than the `limit`."""
     other = bounds.observe(moved)
     differences = bounds.differences(run, finer, other, finer)
-    rows = [(row.share, bounds.promised(row)) for row in differences]
+    rows = [(row.share, bounds.tolerance(row)) for row in differences]
     chaotic = np.array([most is not None and share > most for share, most in rows])
     off = parted(finer.standard, other.standard)
     beyond = off > limit

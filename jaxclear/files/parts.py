@@ -212,7 +212,7 @@ def _as_drawn(part: str) -> Getter:
 
 
 def _mechanism_value(what: str) -> Getter:
-    return lambda mechanism: mechanism.given[what]
+    return lambda mechanism: mechanism.start_arguments[what]
 
 
 def _stabilisation(mechanism: Mechanism) -> Any:

@@ -43,7 +43,6 @@ from jaxclear.files.text import JSON, YAML, Misread, Node, misread, parsed, text
 from jaxclear.ground.argument_errors import answering, with_new_arguments
 from jaxclear.ground.arguments import check_flags, check_name, expect
 from jaxclear.ground.quantity import AbstractQuantified
-from jaxclear.ground.warning import warn
 from jaxclear.ground.wording import described, listed, unknown
 from jaxclear.integrators import AbstractIntegrator
 from jaxclear.multibody.mechanism import Mechanism
@@ -123,10 +122,7 @@ class Scene(AbstractQuantified):
             )
         if self.duration is not None:
             check_duration(self.duration)
-        if self.state == "seated":
-            sentence = 'state "seated" of a Scene is called "resting" now'
-            warn(f"{sentence}; the old name goes in the next version.", FutureWarning)
-        elif isinstance(self.state, str):
+        if isinstance(self.state, str):
             check_name("start of a Scene, beside a jaxclear.State", self.state, [RESTING])
         by_name("variables", self.variables)
         expect(self.responses, Mapping, "responses of a Scene", "a dictionary from names")

@@ -84,7 +84,7 @@ class Functions:
     ):
         """`outputs`: by name functions of the run over the last communication step; `duration` [s]:
         how long a run usually is."""
-        nominal = ready(integrator.formulation.seen(mechanism))
+        nominal = ready(integrator.formulation.modelled(mechanism))
         self.outputs, self.duration, self.doubt = outputs, duration, nominal.doubt
         self.redundancy = nominal.mechanism.topology.redundancy
         # The search goes on from where the mechanism stands if its guess led elsewhere.
@@ -105,7 +105,7 @@ class Functions:
         """From the original numbers and a time [s] those of the steps, what the first step starts
         from, and whether the start is sound."""
         mechanism, integrator = self.original.tree(leaves)
-        mechanism = with_redundancy(integrator.formulation.seen(mechanism), self.redundancy)
+        mechanism = with_redundancy(integrator.formulation.modelled(mechanism), self.redundancy)
         start = assemble_arrays(mechanism, True, numbers[0], self.rough)
         steps, first = map(Flat.of, self._begin(mechanism, start, numbers[0], integrator))
         return [*(steps.leaves[i] for i in self.packed), *first.leaves, is_sound(mechanism, start)]
@@ -172,7 +172,7 @@ def run_of_step(
     # What adds up (impulses, worn volumes) counts from its beginning, as of any run.
     adds_up = jnp.arange(model.layout.size) >= model.layout.remembered.stop
     states = jnp.stack([before, now.state]) - jnp.where(adds_up, before, 0.0)
-    states = integrator.known_states(model, times, states, now.state, now.warm_start)
+    states = integrator.check_derivatives(model, times, states, now.state, now.warm_start)
     history = StateHistory(mechanism, integrator.formulation, times, states, {}, False)
     stats = RunStats(*now.steps, jnp.zeros((), int))
     extremes = largest_of(mechanism, model, now)

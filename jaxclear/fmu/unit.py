@@ -122,7 +122,7 @@ class Unit:
     ):
         self.mechanism, self.slopes = mechanism, slopes
         self.duration, self.interval = map(float, usual)
-        modelled = integrator.formulation.seen(mechanism)
+        modelled = integrator.formulation.modelled(mechanism)
         if outputs is None:
             branches = [b.name for b in modelled.topology.branches if b.speed_count]
             outputs = {f"{n} {w}": (n, w) for n in branches for w in ("coordinate", "speed")}
@@ -159,14 +159,14 @@ class Unit:
             raise ValueError(f"slopes of this FMU would not be those of the motion: {why}.")
         if not is_compared(view, integrator):
             return integrator
-        step, times = integrator.asked_step(), np.array([0.0, self.interval])
+        step, times = integrator.requested_step(), np.array([0.0, self.interval])
         shares: Sequence[float] = (HALF,)
         if step is not None:
             self.order = order_of(view, integrator)
             many = np.ceil(self.interval / float(step) * (1 - SLIVER)) >= FEWEST
             shares = (LONGER if many else SHORTER)[self.order]
         self.others = [in_other_steps(integrator, jnp.asarray(x), times) for x in shares]
-        return integrator if step is not None else integrator.held(jnp.asarray(jnp.inf))
+        return integrator if step is not None else integrator.with_max_step(jnp.asarray(jnp.inf))
 
     def add_numbers(self, inputs: Mapping[str, Any], parameters: Mapping[str, Any]) -> None:
         """The inputs and parameters. Raises `ValueError` for what cannot be one."""

@@ -14,6 +14,7 @@ from jaxclear.components.clearance import CarryingEnd
 from jaxclear.components.coupling import AbstractCoupling
 from jaxclear.formulations.model import Instant, Model
 from jaxclear.ground import sparse as sp
+from jaxclear.ground.argument_errors import Renamed
 from jaxclear.ground.quantity import concrete
 from jaxclear.multibody.forces import Forces
 from jaxclear.multibody.mechanism import Mechanism
@@ -59,6 +60,7 @@ class AbstractFormulation(eqx.Module):
     """
 
     forces_are_means: eqx.AbstractClassVar[bool]
+    seen = Renamed("modelled")
 
     @property
     def rubs_as_coulombs(self) -> bool:
@@ -78,7 +80,7 @@ class AbstractFormulation(eqx.Module):
         """
 
     @abstractmethod
-    def seen(self, mechanism: Mechanism) -> Mechanism:
+    def modelled(self, mechanism: Mechanism) -> Mechanism:
         """The mechanism as it is in this formulation, with other joints for example.
 
         Args:

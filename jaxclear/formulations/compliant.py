@@ -101,7 +101,7 @@ class CompliantContact(AbstractFormulation):
             for laws in mechanism.connections[name].joint.contact_laws():
                 _check_laws(name, laws)
 
-    def seen(self, mechanism):
+    def modelled(self, mechanism):
         return mechanism
 
     def prepared(self, system):
@@ -183,7 +183,7 @@ class CompliantContact(AbstractFormulation):
             a `ContactMotion`.
         """
         motion = lambda time, state: _stacked(_row_motions(model, time, state, flanks))
-        if exact and any(one.left_by_torque for one in model.system.transmissions.values()):
+        if exact and any(one.separates_by_torque for one in model.system.transmissions.values()):
             flow = self.rate(model, time, state, None, flanks)[0]
             depths = lambda *now: motion(*now).depths
             return ContactMotion(*jax.jvp(depths, (time, state), (1.0, flow)))

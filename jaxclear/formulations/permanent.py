@@ -150,7 +150,7 @@ class PermanentContact(AbstractFormulation):
                 check_unworn(name, coupling, integrator)
                 check_lossless(name, coupling, f"{integrator} seats it")
 
-    def seen(self, mechanism):
+    def modelled(self, mechanism):
         return fit(mechanism)
 
     def prepared(self, system):

@@ -43,14 +43,14 @@ def ends_that_wear(system: System, answer: Answer, friction: Any) -> Ends:
 
 def centres_of(system: System, ends: Ends) -> Centres:
     """Where in the gap [m] the ends of those joints lie that turn in one."""
-    turning = {fixed.name for fixed in touching(system) if fixed.joint.goes_round}
+    turning = {fixed.name for fixed in touching(system) if fixed.joint.has_moving_centre}
     return {name: [end.offset for end in part] for name, part in ends.items() if name in turning}
 
 
 def count_of_centres(system: System) -> int:
     """How many centres `centres_of` what wears knows."""
     joints = [fixed.joint for fixed in touching(system)]
-    saved = [joint for joint in joints if joint.maps() and joint.goes_round]
+    saved = [joint for joint in joints if joint.maps() and joint.has_moving_centre]
     ratios = [0.0 if joint.components == 1 else (0.0,) * joint.components for joint in saved]
     pairs = zip(saved, ratios, strict=True)
     return sum(len(joint.carrying_ends(sp.ZERO, sp.ZERO, ratio)) for joint, ratio in pairs)

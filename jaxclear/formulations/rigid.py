@@ -108,7 +108,7 @@ class RigidContact(AbstractFormulation):
                         f"for {integrator} give contact.Rigid(restitution=...)."
                     )
 
-    def seen(self, mechanism):
+    def modelled(self, mechanism):
         return mechanism
 
     def prepared(self, system):

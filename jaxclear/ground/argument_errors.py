@@ -9,7 +9,6 @@ import functools
 import importlib.util
 import inspect
 import re
-import sys
 from collections.abc import Callable, Container
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
@@ -34,33 +33,18 @@ ARGUMENT = re.compile(
 KEYWORDS = (inspect.Parameter.KEYWORD_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
 ORDERED = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
 
-# Names that have changed, by the old ones; these work for one version and warn.
-RENAMED = {
-    "jaxclear.corrected": "corrected_statistics",
-    "jaxclear.design_front": "pareto_front",
-    "jaxclear.plot.corrected": "corrected_statistics",
-    "jaxclear.plot.design_front": "pareto_front",
-    "jaxclear.plot.settled": "steady_cycle",
-    "jaxclear.plot.wear_lives": "wear_life_sample",
-    "jaxclear.response.concerned": "depends_on",
-    "jaxclear.seated": "resting_state",
-    "jaxclear.settled": "steady_cycle",
-    "jaxclear.wear_lives": "wear_life_sample",
-    "jaxclear.why_unknown": "explain_nan",
-}
-RENAMED_ARGUMENTS = {
-    "asked": "subject",
-    "most": "max_cycles",
-    "own": "stated",
-    "seated": "in_contact",
-}
+# Arguments that have new names, by the old ones; these work for one version and warn.
+RENAMED_ARGUMENTS = {"found": "fits", "given": "is_input"}
 
 
 class Renamed:
-    """A member of a class by its old name: it warns, and is the one with the `new` name."""
+    """A member of a class by its old name: it warns, and is the one with the `new` name.
 
-    def __init__(self, new: str):
-        self.new = new
+    Members of a named tuple do not learn their `name`.
+    """
+
+    def __init__(self, new: str, name: str = ""):
+        self.new, self.name = new, name
 
     def __set_name__(self, owner: type, name: str) -> None:
         self.name = name
@@ -68,9 +52,24 @@ class Renamed:
     def __get__(self, instance: Any, owner: type) -> Any:
         if instance is None:
             return self
-        sentence = f"{self.name} of {public_name(owner)} is called {self.new} now"
-        warn(f"{sentence}; the old name goes in the next version.", FutureWarning)
+        self.warn_of(public_name(owner))
         return getattr(instance, self.new)
+
+    def warn_of(self, owner: str) -> None:
+        """Says the new name of the owner's member."""
+        sentence = f"{self.name} of {owner} is called {self.new} now"
+        warn(f"{sentence}; the old name goes in the next version.", FutureWarning)
+
+
+def _with_new_members(name: str, bases: tuple, namespace: dict) -> dict:
+    """What a class defines, what it overrides by an old name under the new one."""
+    for base in bases:
+        for old in [*namespace]:
+            member = getattr(base, old, None)
+            if isinstance(member, Renamed) and not isinstance(namespace[old], Renamed):
+                member.warn_of(name)
+                namespace = {member.new if n == old else n: x for n, x in namespace.items()}
+    return namespace
 
 
 def with_new_arguments(owner: str, parameters: Container[str], args: dict) -> dict:
@@ -85,17 +84,11 @@ def with_new_arguments(owner: str, parameters: Container[str], args: dict) -> di
     return args
 
 
-def warn_of_renaming(path: str) -> str:
-    """The new name for an old one, such as "jaxclear.seated"."""
-    new = f"{path.rpartition('.')[0]}.{RENAMED[path]}"
-    warn(f"{path} is called {new} now; the old name goes in the next version.", FutureWarning)
-    return RENAMED[path]
-
-
 class AnsweringMeta(ModuleMeta):
     """Of classes that refuse wrong arguments with a sentence."""
 
     def __new__(mcs, name: str, bases: tuple, namespace: dict, **kwargs: Any):
+        namespace = _with_new_members(name, bases, namespace)
         check = namespace.get("__check_init__")
         if check is not None and any(isinstance(base, AnsweringMeta) for base in bases):
             namespace = namespace | {"__check_init__": _after_fields(check)}
@@ -247,13 +240,11 @@ def defined_names(namespace: dict[str, Any], *further: str) -> list[str]:
 def nothing_else(
     module: str, offered: list[str]
 ) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
-    """The `__getattr__` and `__dir__` of a module: for any name beyond those offered, a sentence,
-    for an old one what has the new; what completes a name that is being typed shows these alone."""
+    """The `__getattr__` and `__dir__` of a module: for any name beyond those offered, a sentence;
+    what completes a name that is being typed shows these alone."""
 
     def refuse(name: str) -> Any:
         path = f"{module} has no {name!r}"
-        if f"{module}.{name}" in RENAMED:
-            return getattr(sys.modules[module], warn_of_renaming(f"{module}.{name}"))
         if name.startswith("__"):
             raise AttributeError(f"{path}.")
         if importlib.util.find_spec(f"{module.partition('.')[0]}.{name}") is not None:

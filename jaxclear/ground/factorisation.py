@@ -18,6 +18,7 @@ that says nothing new is left out. Elementary operations only: factorisations of
 each other in a batch on several threads.
 """
 
+import itertools
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -200,9 +201,14 @@ def placed(entries: dict[tuple[int, int], Any], shape: tuple[int, int]) -> jnp.n
         return jnp.asarray(constants)
     if shape[1] >= MANY_COLUMNS:
         # XLA compiles what is looked up faster than what is put into place.
+        numbers = [0.0, *{float(x) for x in values if isinstance(x, (int, float))}]
+        others = [x for x in values if not isinstance(x, (int, float))]
+        further = itertools.count(len(numbers))
         looked_up = np.zeros(shape, np.int32)
-        looked_up[i, j] = np.arange(1, len(values) + 1)
-        return jnp.concatenate([jnp.zeros(1), sp.stack(values)])[looked_up]
+        looked_up[i, j] = [
+            numbers.index(x) if isinstance(x, (int, float)) else next(further) for x in values
+        ]
+        return jnp.concatenate([jnp.array(numbers), sp.stack(others)])[looked_up]
     return jnp.zeros(shape).at[i, j].set(sp.stack(values), unique_indices=True)
 
 

@@ -138,7 +138,7 @@ class Adaptive(AbstractIntegrator):
             return None
         sizes = on_device(finer * rtol), on_device(finer * atol)
         a = eqx.tree_at(lambda a: (a.rtol, a.atol), self, sizes)
-        return a if self.largest_step is None else a.held(share * self.largest_step)
+        return a if self.largest_step is None else a.with_max_step(share * self.largest_step)
 
     def counting_in(self, gap, arm):
         loosest = jnp.minimum(LOOSEST, LOOSEST_IN_GAP * (gap / arm))
@@ -150,7 +150,7 @@ class Adaptive(AbstractIntegrator):
     def remedy(self):
         return "tighten rtol"
 
-    def held(self, step):
+    def with_max_step(self, step):
         step = step if self.largest_step is None else jnp.minimum(step, self.largest_step)
         return eqx.tree_at(lambda a: a.largest_step, self, step, is_leaf=lambda x: x is None)
 

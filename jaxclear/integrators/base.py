@@ -20,6 +20,7 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxclear.formulations.base import AbstractFormulation
 from jaxclear.formulations.contact_rows import TimeStep
 from jaxclear.formulations.model import Model, State
+from jaxclear.ground.argument_errors import Renamed
 from jaxclear.ground.quantity import AbstractQuantified, Scalar
 from jaxclear.integrators.checks import Outcome
 from jaxclear.integrators.events import Events, Peaks, Watch, watch_from, watched
@@ -123,6 +124,9 @@ class AbstractIntegrator(AbstractQuantified):
     pathwise: eqx.AbstractClassVar[bool]
     projects: eqx.AbstractClassVar[bool]
     breaks = None
+    asked_step = Renamed("requested_step")
+    held = Renamed("with_max_step")
+    known_states = Renamed("check_derivatives")
 
     @property
     @abstractmethod
@@ -156,7 +160,7 @@ class AbstractIntegrator(AbstractQuantified):
             the outcome, an `Advance`.
         """
 
-    def known_states(
+    def check_derivatives(
         self,
         model: Model,
         times: Float[Array, " saves"],
@@ -185,7 +189,7 @@ class AbstractIntegrator(AbstractQuantified):
         each where a mechanism does not say how its loops are held."""
         return False
 
-    def asked_step(self) -> Scalar | None:
+    def requested_step(self) -> Scalar | None:
         """The longest step [s] that was asked for; None where nobody asked for one."""
         return None
 
@@ -199,7 +203,7 @@ class AbstractIntegrator(AbstractQuantified):
 
     def shortest_step(self) -> Scalar | None:
         """The shortest step [s] that these numbers lead to, saving times aside."""
-        return self.asked_step()
+        return self.requested_step()
 
     @property
     def through_contacts(self) -> bool:
@@ -280,7 +284,7 @@ class AbstractIntegrator(AbstractQuantified):
         """What makes the errors of a run by it smaller."""
         return "take shorter steps"
 
-    def held(self, step: Scalar) -> "AbstractIntegrator":
+    def with_max_step(self, step: Scalar) -> "AbstractIntegrator":
         """The integrator with a bound on its steps, where it finds their length itself.
 
         Args:
@@ -350,8 +354,8 @@ def arrived(
     """The answer of steps that are never rejected; `peaks`: the largest depths and forces on the
     way, `watch`: the events, and what couplings have transmitted."""
     outcome = jnp.where(jnp.all(jnp.isfinite(end)), Outcome.REACHED, Outcome.NOT_FINITE)
-    found = () if watch is None else (watch.events, watch.transmitted)
-    return Advance(end, steps, jnp.zeros_like(steps), warm_start, outcome, peaks, *found)
+    extras = () if watch is None else (watch.events, watch.transmitted)
+    return Advance(end, steps, jnp.zeros_like(steps), warm_start, outcome, peaks, *extras)
 
 
 def searching_steps(

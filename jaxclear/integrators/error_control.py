@@ -389,7 +389,7 @@ class Judged(NamedTuple):
     """What a step tells its controller: its error, and what the contacts did in it."""
 
     error: Any
-    passed: Passage
+    passage: Passage
 
 
 class EndingAtTouches(diffrax.AbstractAdaptiveStepSizeController):
@@ -433,7 +433,7 @@ class EndingAtTouches(diffrax.AbstractAdaptiveStepSizeController):
         )
         least, length = self.controller.dtmin, t1 - t0
         # Where time does not tell the two ends apart the step is as good as any.
-        share = end_at_passage(*y_error.passed, length, self.beyond, least)
+        share = end_at_passage(*y_error.passage, length, self.beyond, least)
         again = (share < 1) & (keep | (share * length < stop - t0))
         choose = lambda yes, no: jax.tree.map(lambda a, b: jnp.where(again, a, b), yes, no)
         return (
@@ -524,10 +524,10 @@ class TakingImpactSpeeds(
         # Flanks of play by how they count since the step began.
         end_motion = after
         if self.motion.sided:
-            end_motion = constant(self.motion.seen(args[0], t1, y1, step.shares))
+            end_motion = constant(self.motion.observe(args[0], t1, y1, step.shares))
         length, half = t1 - t0, 0.5 * (t0 + t1)
         path = self.interpolation_cls(t0=t0, t1=t1, **constant(dense))
-        middle = self.motion.seen(args[0], half, path.evaluate(half), step.shares)
+        middle = self.motion.observe(args[0], half, path.evaluate(half), step.shares)
         passage = Passage(*constant((before, middle, end_motion)))
         remembering = self.remember(y1, before, after, length, args)
         if events is not None:

@@ -295,21 +295,21 @@ class _Force(NamedTuple):
         if pressed is None:
             return None
         rises, share, continues = self._summit()
-        d_arr, d_state, d_found = d_in
+        d_arr, d_state, d_so_far = d_in
         # There a force does not hang on when it is: without the time by which all comes later,
         # which is large beside a contact and would have to cancel. A force that still grows as the
         # step ends is the largest where the run ends with it: at that time, whatever comes later.
         gains = self._gains()
-        early, late = (_later(*each) for each in zip(self.motions, d_found, gains, strict=True))
+        early, late = (_later(*each) for each in zip(self.motions, d_so_far, gains, strict=True))
         later = jnp.where(jnp.less(*self.at_ends()), late, early)
         later = jnp.where(continues, 0.0, later)
-        d_found = [
+        d_so_far = [
             ContactMotion(*(x + later * gain for x, gain in zip(now, gains, strict=True)))
-            for now, gains in zip(d_found, gains, strict=True)
+            for now, gains in zip(d_so_far, gains, strict=True)
         ]
         along = lambda arrays, state, path: self._at(arrays, state, path, share)
         numbers = self.arrays, self.ends[1][1], _path(self.motions, self.length)
-        moves = pushed(along, numbers, (d_arr, d_state, _path(d_found, self.length)))[1]
+        moves = pushed(along, numbers, (d_arr, d_state, _path(d_so_far, self.length)))[1]
         return jnp.where(pressed & rises, moves, so_far)
 
     def _gains(self) -> list[ContactMotion]:

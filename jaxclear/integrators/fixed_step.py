@@ -244,7 +244,7 @@ class FixedStep(AbstractIntegrator):
                 "in contact make the number of steps depend on the motion."
             )
 
-    def asked_step(self):
+    def requested_step(self):
         return self.step if self.steps_per_save is None else None
 
     def evaluations(self, mechanism):
@@ -252,7 +252,7 @@ class FixedStep(AbstractIntegrator):
         return len((chain or munthe_kaas.stages(ON_GROUPS[self.method]))[0])
 
     def shortest_step(self):
-        step = self.asked_step()
+        step = self.requested_step()
         return step if step is None or self.contact_steps is None else step / self.contact_steps
 
     @property
@@ -329,8 +329,8 @@ class FixedStep(AbstractIntegrator):
             return unpacked(arrays[0], rest), *eqx.combine(arrays[1:], others)
 
         def plain(arrays, clock, y, last):
-            model, own_part, _ = view(arrays)
-            return explicit_step(own_part.formulation, own_part.method, model, clock, y, last)
+            model, part, _ = view(arrays)
+            return explicit_step(part.formulation, part.method, model, clock, y, last)
 
         def look_at(arrays, end, peaks, steps):
             """What was met of the contacts, from what two steps leave, the second of which ends so:
@@ -339,8 +339,8 @@ class FixedStep(AbstractIntegrator):
                 return None
             (after, *_), forces = steps[1], None
             if peaks.forces is not None:
-                model, own_part, _ = view(arrays)
-                forces = own_part.formulation.normal_forces(model, end, after)
+                model, part, _ = view(arrays)
+                forces = part.formulation.normal_forces(model, end, after)
             return risen(peaks, after.depths, forces)
 
         if self._derived(model) and self._separate:
@@ -367,10 +367,10 @@ class FixedStep(AbstractIntegrator):
             end = closed(unpacked(arrays[0], rest), sum(clock), end, clock[1])
             return end, now, look_at(arrays, end, peaks, (last, now))
 
-        beside_step = resolved_steps(self.formulation, rest, alone)
+        resolved = resolved_steps(self.formulation, rest, alone)
 
         def step(clock, y, last, peaks):
-            end, now, peaks, extra = beside_step(arrays, clock[:2], y, last[:2], peaks, last[2])
+            end, now, peaks, extra = resolved(arrays, clock[:2], y, last[:2], peaks, last[2])
             return clock[1], end, (*now, extra), peaks
 
         return step

@@ -104,7 +104,7 @@ class ImplicitStep(AbstractIntegrator):
         """Share by which mean contact forces lean towards a step's end."""
         return (1 - self.rebound) / (1 + self.rebound)
 
-    def asked_step(self):
+    def requested_step(self):
         return self.step if self.steps_per_save is None else None
 
     @property

@@ -333,7 +333,7 @@ class MoreauJean(AbstractIntegrator):
     def formulation(self):
         return RigidContact()
 
-    def asked_step(self):
+    def requested_step(self):
         return self.step
 
     @property
@@ -368,7 +368,7 @@ class MoreauJean(AbstractIntegrator):
             self.theta, self.gamma, self.max_sweeps, self.tolerance, self.project
         )
 
-    def known_states(self, model, times, states, end, warm_start):
+    def check_derivatives(self, model, times, states, end, warm_start):
         if not may_strike(model.system):
             return states
         last, moves = warm_start

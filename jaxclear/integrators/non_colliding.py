@@ -76,7 +76,7 @@ class NonColliding(AbstractIntegrator):
     def formulation(self):
         return PermanentContact(self.regularised)
 
-    def asked_step(self):
+    def requested_step(self):
         return self.step
 
     @property

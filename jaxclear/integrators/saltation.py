@@ -97,9 +97,9 @@ class Motion(NamedTuple):
     """Rates as a function of (arrays, shares, time, state), the motion of contacts as one of
     (arrays, time, state), normal forces of contacts that damp as one of (arrays, state, motion).
     `near`: as contacts, of flanks that are left by their torque without the rates of their depths,
-    for which equations of motion are solved; `joints`: those of joints alone. `seen`: contacts as
-    functions of (arrays, time, state, shares), of flanks of play by whether they count as pressing;
-    `depths`: theirs alone; `sided`: whether that makes a difference."""
+    for which equations of motion are solved; `joints`: those of joints alone. `observe`: contacts
+    as functions of (arrays, time, state, shares), of flanks of play by whether they count as
+    pressing; `depths`: theirs alone; `sided`: whether that makes a difference."""
 
     rates: Callable
     contacts: Callable
@@ -108,7 +108,7 @@ class Motion(NamedTuple):
     layout: Layout
     near: Callable
     joints: Callable
-    seen: Callable
+    observe: Callable
     depths: Callable
     sided: bool
 
@@ -160,7 +160,7 @@ def motion_of(formulation: CompliantContact, rest: Any) -> Motion:
         depths, rates = near(*now)
         return ContactMotion(depths[:count], rates[:count])
 
-    sided = any(t.left_by_torque for t in bare(rest).system.transmissions.values())
+    sided = any(t.separates_by_torque for t in bare(rest).system.transmissions.values())
     view = by_shares if sided else lambda arrays, time, y, _: contacts(arrays, time, y)
     t = near, joints, view, lambda *now: near(*now).depths
     return Motion(counted, contacts, slips, pressing, bare(rest).layout, *t, sided)
@@ -292,7 +292,7 @@ def cross(model: Motion, here: tuple, d_in: tuple, acting: tuple, always: bool) 
     flow = model.rates(arrays, before, time, y)
     always = always or model.remembers or not model.layout.plays
     if always:
-        view = lambda *here: model.seen(*here, before)
+        view = lambda *here: model.observe(*here, before)
         falls, ahead = view(*here).rates, pushed(view, here, d_in)[1]
         deeper = ahead.depths
     else:

@@ -11,7 +11,7 @@ from typing import Any
 
 import equinox as eqx
 
-from jaxclear.ground.argument_errors import nothing_else
+from jaxclear.ground.argument_errors import Renamed, nothing_else
 from jaxclear.ground.quantity import Scalar
 from jaxclear.laws.law import AbstractLaw
 from jaxclear.laws.transmission import bounded
@@ -23,14 +23,15 @@ class AbstractFlankLaw(AbstractLaw):
     """How a flank presses.
 
     Class attributes of a member: `has_twist`, whether the position of the shaft's far end in the
-    gap is a state; `left_by_torque`, whether the flank is left where the torque would pull (else
-    where the parts are no longer beyond the touch); `needs_damping`, whether the law has no meaning
-    without damping.
+    gap is a state; `separates_by_torque`, whether the parts separate where the torque would pull
+    (else where they are no longer beyond the touch); `needs_damping`, whether the law has no
+    meaning without damping.
     """
 
     has_twist: eqx.AbstractClassVar[bool]
-    left_by_torque: eqx.AbstractClassVar[bool]
+    separates_by_torque: eqx.AbstractClassVar[bool]
     needs_damping: eqx.AbstractClassVar[bool]
+    left_by_torque = Renamed("separates_by_torque")
 
     @abstractmethod
     def torque(self, elastic: Scalar, viscous: Any) -> Scalar:
@@ -59,7 +60,7 @@ class Nordin(AbstractFlankLaw):
     """
 
     has_twist = True
-    left_by_torque = True
+    separates_by_torque = True
     needs_damping = True
 
     def torque(self, elastic, viscous):
@@ -74,7 +75,7 @@ class Stop(AbstractFlankLaw):
     """
 
     has_twist = False
-    left_by_torque = True
+    separates_by_torque = True
     needs_damping = False
 
     def torque(self, elastic, viscous):
@@ -90,7 +91,7 @@ class ElastoBacklash(AbstractFlankLaw):
     """
 
     has_twist = False
-    left_by_torque = False
+    separates_by_torque = False
     needs_damping = False
 
     def torque(self, elastic, viscous):

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxclear.ground.argument_errors import answering
+from jaxclear.ground.argument_errors import Renamed, answering
 from jaxclear.ground.arguments import check_count, check_flags, expect
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.printing import AbstractShown
@@ -30,7 +30,7 @@ class Assemblies(AbstractShown):
     [radians and longest arms together; 0 where nothing is], the `sign` of the determinant of the
     rows that are held (0 where freedoms are left), their `smallest` singular value beside radians
     and longest arms (near 0: two modes meet close by), and by how many of `samples` searches each
-    was `found`.
+    was found (`counts`).
     """
 
     mechanism: Mechanism
@@ -38,8 +38,9 @@ class Assemblies(AbstractShown):
     distance: Float[np.ndarray, " modes"]
     sign: Int[np.ndarray, " modes"]
     smallest: Float[np.ndarray, " modes"]
-    found: Int[np.ndarray, " modes"]
+    counts: Int[np.ndarray, " modes"]
     samples: int = eqx.field(static=True)
+    found = Renamed("counts")
 
     def __len__(self) -> int:
         return len(self.distance)
@@ -79,7 +80,7 @@ class Assemblies(AbstractShown):
             "distance": self.distance,
             "sign": self.sign,
             "smallest singular value": self.smallest,
-            "found": self.found,
+            "found": self.counts,
         }
         return as_table(
             columns | dict(zip(self.names, self.coordinates.T, strict=True)), units=self._units
@@ -104,7 +105,7 @@ def assemblies(
     find them.
 
     What `start` gives is fixed. It is sampling: a mode to which few random starts lead may be
-    missed; `found` counts how often each was reached. Where freedoms are left, a mode is all
+    missed; `counts` has how often each was reached. Where freedoms are left, a mode is all
     positions that can be reached from one another; the one nearest to the guess is listed, or
     nearest to the joints' homes where nothing is guessed. Takes seconds.
 
@@ -164,7 +165,7 @@ def _modes(mechanism: Mechanism, first: FirstSearch, samples: int) -> list[Mode]
     to the other the nearer is listed."""
     if first.sought is None or not assembly_modes.leaves_free(first.start):
         return first.modes(samples)
-    values = mechanism.given
+    values = mechanism.start_arguments
     homes = as_guess(mechanism, _homes(mechanism))
     guessed = {n: x for n, x in values["guess"].items() if n in homes}
     total = rebuilt(mechanism, guess=homes | guessed)

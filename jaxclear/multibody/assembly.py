@@ -82,7 +82,7 @@ def assemble_arrays(
     beams `straight` as far as can be; pure, so it maps and differentiates."""
     problem = ask(mechanism, concentric, worn)._replace(straight=straight)
     values = guess(mechanism, problem.system) if rough is None else rough
-    return _solved(problem, *values, time, rough is None, in_one)
+    return _solved(problem, *values, time, rough is None, call=in_one)
 
 
 def _towards_guess(problem: Ask, q: Array, time: Any) -> Array:
@@ -108,14 +108,16 @@ def _solved(
     v: Array,
     time: Any,
     led: bool = False,
+    is_drawn: bool = False,
     call: Callable[..., Any] = compiled_sooner,
 ) -> Start:
     """The consistent start to which a search leads from rough coordinates and speeds, `led` to what
-    is told of other joints first; `call`: how the search is called, and what tells of the start."""
+    is told of other joints first, or which are the start (`is_drawn`); `call`: how the search is
+    called, and what tells of the start."""
     mechanism = problem.mechanism
     start_check.check_flat_bodies(mechanism, problem.system, motions_at(problem, q, v, time)[2])
-    if is_solved(mechanism, problem.concentric):
-        return _started(problem, q, v, time)
+    if is_drawn or is_solved(mechanism, problem.concentric):
+        return call(lambda: _started(problem, q, v, time))
 
     def search():
         start = _towards_guess(problem, q, time) if led else q
@@ -217,8 +219,9 @@ def _depths(problem: Ask, q: Array, v: Array, time: Any) -> dict[str, Array]:
 
 def is_sound(mechanism: Mechanism, start: Start) -> Bool[Array, ""]:
     """Whether the start keeps what is asked of it, as `assemble` wants it."""
-    fine = [jnp.all(fine) for _, _, fine in start_check.verdicts(mechanism, start)]
-    return jnp.all(jnp.stack(fine)) if fine else jnp.array(True)
+    array = jnp if is_traced(start) else np
+    fine = [array.all(fine) for _, _, fine in start_check.verdicts(mechanism, start)]
+    return array.all(array.stack(fine)) if fine else array.asarray(True)
 
 
 @compiled_quickly
@@ -239,25 +242,65 @@ class Judged(NamedTuple):
 
 
 @compiled_quickly
-def _judged(
-    mechanism: Mechanism, concentric: bool, worn: dict | None, begin: Beginning | None = None
-) -> Judged:
+def _find_start(
+    mechanism: Mechanism,
+    concentric: bool,
+    worn: dict | None,
+    begin: Beginning | None = None,
+    is_drawn: bool = False,
+) -> tuple[Start, Array, Array]:
     """The search for a start that closes all loops."""
     problem = ask(mechanism, concentric, worn)
     seed, v = guess(mechanism, problem.system)
-    if begin is None:
+    if is_drawn:
+        q = seed
+    elif begin is None:
         q = _towards_guess(problem, seed, 0.0)
     else:
         q = jnp.where(begin.is_set, begin.coordinates, seed)
         q = jnp.where(begin.led, _towards_guess(problem, q, 0.0), q)
-    start = _solved(problem, q, v, 0.0)
-    return Judged(start, is_sound(mechanism, start), seed, problem.arm)
+    return _solved(problem, q, v, 0.0, is_drawn=is_drawn), seed, problem.arm
+
+
+def _judged(mechanism: Any, *rest: Any) -> Judged:
+    """The start to which a search leads, judged where its numbers are."""
+    start, *place = _find_start(mechanism, *rest)
+    return Judged(start, is_sound(mechanism, start), *place)
 
 
 @compiled_quickly
-def _carried_on(mechanism: Mechanism, *rest: Any) -> tuple[Start, Array]:
+def _distance_from_start(mechanism: Mechanism, concentric: bool, worn: dict | None) -> Array:
+    """By how much the guess misses all that is asked of a start, beside what is rounding [1]."""
+    problem = ask(mechanism, concentric, worn)
+    q, v = guess(mechanism, problem.system)
+    place = place_at(problem, q, 0.0)
+    missed = [
+        jnp.abs(block.rest) / block.measure
+        for block in (*blocks_at(problem, place), *guess_blocks(problem, place))
+    ]
+    speeds = [jnp.abs(block.rest) / block.measure for block in speed_blocks(problem, q, v, 0.0)]
+    size = start_check.ROUNDED * (1.0 + jnp.max(jnp.abs(q), initial=0.0) / problem.arm)
+    fast = 1.0 + jnp.max(jnp.abs(v), initial=0.0)
+    return jnp.max(jnp.concatenate([jnp.zeros(1), *missed, *(x / fast for x in speeds)])) / size
+
+
+def _is_drawn(mechanism: Mechanism, concentric: bool, worn: dict | None) -> bool:
+    """Whether the guess is a start already, as where a drawing is read; not looked at where drives
+    move joints, which others must follow."""
+    if mechanism.driven or is_solved(mechanism, concentric):
+        return False
+    return bool(_distance_from_start(mechanism, concentric, worn) <= 1.0)
+
+
+@compiled_quickly
+def _find_carried_on(mechanism: Mechanism, *rest: Any) -> Start:
     """The start from coordinates and speeds of another run."""
-    start = carried_on(mechanism, *rest)
+    return carried_on(mechanism, *rest)
+
+
+def _carried_on(mechanism: Mechanism, *rest: Any) -> tuple[Start, Any]:
+    """The same, and whether it is sound."""
+    start = _find_carried_on(mechanism, *rest)
     return start, is_sound(mechanism, start)
 
 
@@ -349,7 +392,7 @@ def first_search(mechanism: Mechanism, concentric: bool, worn: dict | None = Non
     """Where the search for a start leads from what is guessed of a mechanism with numbers."""
     bare = with_redundancy(mechanism, None)
     begin = at_guess(mechanism)
-    first = _judged(bare, concentric, worn, begin)
+    first = _judged(bare, concentric, worn, begin, _is_drawn(bare, concentric, worn))
     tree = assembly_modes.Coordinates(bare, first.seed, first.arm)
     judged = lambda m: _judged(m, concentric, worn, begin)[:2]
     values, start, sound = _with_redundancy(bare, first.start, first.sound, 0.0, judged)
@@ -425,8 +468,8 @@ def _with_redundancy(
     bare: Mechanism, start: Start, sound: Any, time: Any, assembled: Callable
 ) -> tuple[Mechanism, Start, Any]:
     """The mechanism with its redundancy, the start, and whether it is sound, assembled anew where
-    rows depend on each other, closed by as many as are independent, and where a damped search
-    closes loops that were not."""
+    rows that depend on each other have left loops open, closed by as many as are independent, and
+    where a damped search closes loops that were not."""
     if not bare.topology.loops:
         return bare, start, sound
     place = start
@@ -437,7 +480,9 @@ def _with_redundancy(
     result = redundancy.redundancy(bare, place, time)
     values = with_redundancy(bare, result)
     if values.topology.depend:
-        return values, *assembled(values)
+        # Loops that are closed but for rounding need not be closed anew.
+        is_closed = sound and start_check.open_by(start, start_check.ROUNDED) == 0
+        return (values, start, sound) if is_closed else (values, *assembled(values))
     if not sound and start_check.open_by(place) == 0 < start_check.open_by(start):
         far = with_redundancy(bare, redundancy.searched(result, start))
         other, fine = assembled(far)

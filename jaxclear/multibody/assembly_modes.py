@@ -233,7 +233,7 @@ class Coordinates:
         for branch, joint in zip(self.branches, self.joints, strict=True):
             values = mechanism.guess.get(branch.name)
             if values is not None:
-                total = all(joint.told(values))
+                total = all(joint.start_mask(values))
                 self.guessed[branch.coordinates] = [total or unit != "1" for unit in joint.units]
 
     def away(self, start: Start) -> np.ndarray:

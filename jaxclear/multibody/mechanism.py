@@ -26,6 +26,7 @@ from jaxclear.components.coupling import AbstractCoupling
 from jaxclear.components.joint import AbstractJoint
 from jaxclear.components.joint.base import drive_of
 from jaxclear.components.load import AbstractLoad
+from jaxclear.ground.argument_errors import Renamed
 from jaxclear.ground.arguments import check_name, expect
 from jaxclear.ground.printing import (
     INDENT,
@@ -273,6 +274,7 @@ class Mechanism(AbstractQuantified):
     topology: Topology = eqx.field(static=True)
     # Names in `start`, `speeds` and `guess` as they were given: what is given first is held first.
     order: tuple[str, ...] = eqx.field(static=True)
+    given = Renamed("start_arguments")
 
     def __init__(
         self,
@@ -300,7 +302,7 @@ class Mechanism(AbstractQuantified):
         bodies, connections, loads = with_pieces(*parts[:3])
         parts = (Bodies(bodies), connections, loads, parts[3])
         validation.check_parts(*parts)
-        validation.check_finite("the mechanism", self.given)
+        validation.check_finite("the mechanism", self.start_arguments)
         self.bodies, self.connections, self.loads, self.couplings = _unshared(parts)
         hinges = parts_of_beams(self.loads)
         self.topology = grow(self.bodies, self.connections, self.couplings, hinges)
@@ -320,7 +322,7 @@ class Mechanism(AbstractQuantified):
         warn_of_magnitudes(self)
 
     @property
-    def given(self) -> dict[str, dict[str, tuple]]:
+    def start_arguments(self) -> dict[str, dict[str, tuple]]:
         """What is given for the start, under its argument's name, in the order given."""
         parts = {"start": self.start, "speeds": self.speeds, "guess": self.guess}
         return {
@@ -370,7 +372,7 @@ class Mechanism(AbstractQuantified):
             ValueError: for a name that does not exist, or a joint that does not fit.
         """
         connections = exchanged(self.connections, self.bodies, name, joint)
-        start = dict(self.given)
+        start = dict(self.start_arguments)
         start["guess"], start["speeds"] = start_arguments(
             self.topology, connections, self.bodies, name, start, parts_of_beams(self.loads)
         )
@@ -500,7 +502,7 @@ PARTS = ("bodies", "connections", "loads", "couplings", "stabilisation")
 def rebuilt(mechanism: Mechanism, **changed: Any) -> Mechanism:
     """The mechanism built anew, by these of its arguments in the place of its own."""
     entry = {part: getattr(mechanism, part) for part in PARTS}
-    return Mechanism(**entry | mechanism.given | changed)
+    return Mechanism(**entry | mechanism.start_arguments | changed)
 
 
 def ungiven(mechanism: Mechanism) -> Mechanism:

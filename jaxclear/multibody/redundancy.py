@@ -157,7 +157,7 @@ def _most_of_rank(mechanism: Mechanism, rows: tuple[Row, ...], start: Start, tim
     free = np.linalg.svd(best.jacobian)[2][best.rank :]
     random = np.random.default_rng(0)
     times = (LATER if mechanism.driven else LATER[:1]) if len(scales) else ()
-    for later in times:
+    for later in np.asarray(times):
         for _ in range(DIRECTIONS if len(free) else 1):
             direction = random.normal(size=len(free)) @ free
             step = MOVED * direction / max(np.linalg.norm(direction), 1e-300) * scales

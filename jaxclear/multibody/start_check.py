@@ -21,6 +21,8 @@ from jaxclear.native.compiled import compiled_quickly
 
 # What may be left of a closure [m, 1].
 CLOSED = 1e-8
+# What is left of an equation that is met but for rounding, beside the size of its numbers.
+ROUNDED = 1e-14
 # By how much a given number may be missed [rad, longest arms]: numbers written with six digits
 # close a loop that leaves them no freedom.
 EXACT = 1e-6
@@ -53,7 +55,7 @@ def check_flat_bodies(mechanism: Mechanism, system: System, motions: tuple) -> N
 def verdicts(mechanism: Mechanism, start: Start) -> Iterator[tuple[Any, str, Any]]:
     """(what writes the sentence, the joint's name, whether all is well there) for everything that
     is asked of a start, in the order in which it is told."""
-    fast = 1.0 + jnp.max(jnp.abs(start.speeds), initial=0.0)
+    fast = 1.0 + _most(start.speeds)
     for name in mechanism.topology.loops:
         yield _open_loop, name, _most(start.residuals[name]) <= CLOSED
     for name in mechanism.topology.loops:
@@ -70,10 +72,10 @@ def verdicts(mechanism: Mechanism, start: Start) -> Iterator[tuple[Any, str, Any
         yield _deep, name, depth <= allowed
 
 
-def open_by(start: Start) -> float:
-    """By how much loops are open [m, 1]; 0 where they count as closed."""
+def open_by(start: Start, allowed: float = CLOSED) -> float:
+    """By how much loops are open [m, 1]; 0 where that is allowed, so that they count as closed."""
     most = max((float(_most(rest)) for rest in start.residuals.values()), default=0.0)
-    return most if not most <= CLOSED else 0.0
+    return most if not most <= allowed else 0.0
 
 
 def is_placed(start: Start) -> bool:
@@ -92,7 +94,8 @@ def refuse(mechanism: Mechanism, start: Start) -> None:
 
 
 def _most(values: Any) -> Any:
-    return jnp.max(jnp.abs(values), initial=0.0)
+    array = jnp if is_traced(values) else np
+    return array.max(array.abs(values), initial=0.0)
 
 
 def _loop(mechanism: Mechanism, name: str) -> str:
@@ -212,7 +215,7 @@ def determined(mechanism: Mechanism, start: Start) -> tuple[str, ...]:
     rest = [_most(start.residuals.get(name, np.inf)) for name in mechanism.topology.clearances]
     concentric = all(x <= CLOSED for x in rest)
     free = _free(mechanism, concentric, start.coordinates, jnp.asarray(_jolt(start)))
-    return tuple(name for name in mechanism.given["start"] if not free[name])
+    return tuple(name for name in mechanism.start_arguments["start"] if not free[name])
 
 
 @compiled_quickly

@@ -118,7 +118,8 @@ def coordinate_equations(
         target = joint.start(values)
         if where.branch is not None:
             part, turns = q[where.branch], nearly
-            branch, still = system.topology.branches[where.branch], (0.0,) * len(joint.told(values))
+            branch = system.topology.branches[where.branch]
+            still = (0.0,) * len(joint.start_mask(values))
             target = at_start(branch, joint, target, still)[0]
         else:
             part = joint.coordinates_at(kinematics.relative_motion(where.closure, motions)[1])
@@ -127,7 +128,7 @@ def coordinate_equations(
     result = []
     each = zip(sources, inputs, map_many(_increment, calls), strict=True)
     for where, values, missed in each:
-        report = where.joint.told(values)
+        report = where.joint.start_mask(values)
         rows = _rows(system, motions, where, len(report))
         saved = [i for i, present in enumerate(report) if present]
         result.append(Equations(tuple(missed[i] for i in saved), [rows[i] for i in saved]))

@@ -204,18 +204,18 @@ def _coordinate_blocks(problem: Ask, place: Place, kind: str) -> list[Block]:
     """Coordinates that are given, guessed, or straight."""
     blocks: list[Block] = []
     if kind == STRAIGHT:
-        reported_of: Any = _straight(problem, "start", "guess").items()
+        entries: Any = _straight(problem, "start", "guess").items()
     else:
-        reported_of = problem.mechanism.given["start" if kind == START else "guess"].items()
+        entries = problem.mechanism.start_arguments["start" if kind == START else "guess"].items()
     sources = [
-        start_constraints.source(problem.mechanism, problem.system, name) for name, _ in reported_of
+        start_constraints.source(problem.mechanism, problem.system, name) for name, _ in entries
     ]
-    values_of = [values for _, values in reported_of]
+    values_of = [values for _, values in entries]
     equations = start_constraints.coordinate_equations(
         problem.system, place.motions, place.coordinates, sources, values_of, kind == GUESS
     )
-    for (name, values), where, equation in zip(reported_of, sources, equations, strict=True):
-        report = where.joint.told(values)
+    for (name, values), where, equation in zip(entries, sources, equations, strict=True):
+        report = where.joint.start_mask(values)
         blocks.append(_start_block(problem, kind, name, where, equation, report))
     return blocks
 
@@ -224,7 +224,7 @@ def speed_blocks(problem: Ask, q: Array, v: Array, time: Any) -> list[Block]:
     """What is left to change in the speeds, in order."""
     branch_q, branch_v, motions = motions_at(problem, q, v, time)
     blocks = [_closure_block(problem, motions, n, c, LOOP, True) for n, c in _loops(problem)]
-    fast = problem.mechanism.given["speeds"]
+    fast = problem.mechanism.start_arguments["speeds"]
     still = _straight(problem, "speeds")
     later: list[Block] = []
     for name, values in (fast | still).items():

@@ -109,10 +109,10 @@ class Transmission(eqx.Module):
         return play is not None and bool(play.law.has_twist)
 
     @property
-    def left_by_torque(self) -> bool:
+    def separates_by_torque(self) -> bool:
         """Whether its flanks are left where the torque would pull."""
         play = self.coupling.play
-        return play is not None and bool(play.law.left_by_torque)
+        return play is not None and bool(play.law.separates_by_torque)
 
 
 class Geared(eqx.Module):
@@ -278,7 +278,7 @@ def scale_of(mechanism: Mechanism, coupling: Any) -> Any:
     """What the residual of a coupling is divided by, so that it is its twist."""
     if isinstance(coupling, AbstractCoordinateCoupling) or coupling.motor is not None:
         return coupling.terms()[0].factor
-    return coupling.seen_radius(drawn_pose(coupling, mechanism.bodies, mechanism.connections))
+    return coupling.play_radius(drawn_pose(coupling, mechanism.bodies, mechanism.connections))
 
 
 def _driving_end(mechanism: Mechanism, name: str, scale: Any) -> DrivingEnd | None:
@@ -304,7 +304,7 @@ def sliding_along(name: str, coupling: Any) -> str | None:
     if isinstance(coupling, AbstractCoordinateCoupling) or coupling.motor is not None:
         first = coupling.terms()[0].joint
         return first if isinstance(first, str) else motor_name(name)
-    return coupling.seen_at()
+    return coupling.play_joint()
 
 
 def _terms(mechanism: Mechanism, name: str) -> list[CoordinateTerm]:

@@ -350,7 +350,7 @@ def moves_along(mechanism: Any, part: Any) -> bool:
     if isinstance(part, AbstractCoordinateCoupling) or part.motor is not None:
         first = coupling.terms()[0].joint
         return isinstance(first, str) and slides(mechanism, first)
-    return bool(coupling.seen_as_length)
+    return bool(coupling.has_linear_play)
 
 
 def turns(mechanism: Any, coupling: Any) -> bool:

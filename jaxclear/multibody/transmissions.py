@@ -150,7 +150,7 @@ def pressing(
         return _with_end(spring, twist, (place, half, end), (torques, shares))
     depths: tuple = tuple(side[0] for side in sides)
     rates = tuple(side[1] for side in sides)
-    if play.law.left_by_torque:
+    if play.law.separates_by_torque:
         by_torque = [torque / stiffness for torque in torques]
         depths = tuple(map(jnp.minimum, depths, by_torque))
         if shares is not None:
@@ -274,7 +274,7 @@ def torque_on_flanks(train: Transmission, depths: Any, rates: Any) -> Any:
     if train.has_twist:
         return jnp.maximum(elastic, 0.0)
     viscous: Any = 0.0 if coupling.damping is None else coupling.damping * rates
-    if coupling.play.law.left_by_torque:
+    if coupling.play.law.separates_by_torque:
         # As it falls off the depth is the torque's own.
         viscous = positive_part(viscous)
     return jnp.where(depths >= 0, coupling.play.law.torque(elastic, viscous), 0.0)

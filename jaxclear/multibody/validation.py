@@ -518,13 +518,13 @@ def check_couplings(couplings: dict, topology: Topology, bodies: dict, connectio
 def _check_flanks(name: str, coupling: Any, bodies: dict, connections: dict) -> None:
     """That it is known with what flanks that wear slide, and with which lever they press."""
     summed = isinstance(coupling, AbstractCoordinateCoupling) or coupling.motor is not None
-    if not summed and coupling.seen_as_length:
+    if not summed and coupling.has_linear_play:
         raise ValueError(
             f'coupling "{name}" has a play that wears and is seen along the axis of a '
             f"{type(coupling).__name__} of two bodies, where no one coordinate tells how it "
             "slides; leave its wear out."
         )
-    first = coupling.terms()[0].joint if summed else coupling.seen_at()
+    first = coupling.terms()[0].joint if summed else coupling.play_joint()
     turns = True
     if isinstance(first, str):
         check_name("joint", first, connections, f' for coupling "{name}"')

@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NoReturn
 
 import equinox as eqx
+import jax
 import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxclear.components.body import Marker
 from jaxclear.formulations.base import AbstractFormulation
-from jaxclear.ground.argument_errors import Renamed
 from jaxclear.ground.arguments import check_count, check_flags, check_name, expect
 from jaxclear.ground.datasets import write_csv
 from jaxclear.ground.printing import AbstractShown
@@ -24,6 +24,7 @@ from jaxclear.integrators.checks import Checks, Outcome
 from jaxclear.integrators.events import Events
 from jaxclear.multibody import state
 from jaxclear.multibody.mechanism import Mechanism
+from jaxclear.multibody.transmissions import between_worn_flanks
 from jaxclear.native import explain
 from jaxclear.results import beams, export, histories, modes, transmissions
 from jaxclear.results.histories import (
@@ -149,7 +150,6 @@ class Trajectory(AbstractShown):
     verification: AbstractVerification = eqx.field(default_factory=Unverified)
     assembly_warnings: tuple[str, ...] = eqx.field(static=True, default=())
     singular_positions: tuple[SingularPosition, ...] = ()
-    doubts = Renamed("assembly_warnings")
 
     def __getitem__(self, index: int) -> "Trajectory":
         """One run of a batch that `jax.vmap` has made.
@@ -328,7 +328,11 @@ class Trajectory(AbstractShown):
                 f"the run ended at {float(self.ended):.6g} s, before the saving time at "
                 f"{float(self.time[index]):.6g} s."
             )
-        layout, names, row = self.history.layout(), self.state_names(), self.states[index]
+        model, names = self.history.model(), self.state_names()
+        # Surfaces have worn by what was lost until then, and shafts lie on flanks.
+        read = jax.tree.map(lambda rows: rows[index], self.history.read)
+        layout, worn = model.layout, (read, self.worn)
+        row = between_worn_flanks(model.system, layout, worn, self.states[index])
         first, middle, memory = layout.coordinates, layout.memory_start, layout.remembered
         parts = row[:first], row[first:middle], row[memory]
         labels = tuple(names[:middle]), tuple(names[memory]), self.mechanism.topology.redundancy

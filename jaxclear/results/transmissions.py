@@ -15,7 +15,7 @@ from jaxclear.components.coupling import AbstractForceCoupling
 from jaxclear.formulations.loads_over_step import forces_of_means, impulse_of
 from jaxclear.formulations.model import Instant
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.argument_errors import answering
+from jaxclear.ground.argument_errors import Renamed, answering
 from jaxclear.ground.table import as_table
 from jaxclear.multibody import constraints
 from jaxclear.multibody.forces import force_of, load_rows, pressing_of
@@ -40,7 +40,7 @@ class CouplingHistory(AbstractHistory):
         twist: lost motion and wind-up together [rad], shape (time,).
         rate: rate of the twist [rad/s], shape (time,).
         torque: torque that acts against the twist [N m], shape (time,).
-        lost: power lost in it [W], shape (time,).
+        loss: power lost in it [W], shape (time,).
         flank: 1 while the upper flank presses (where the twist is largest), -1 while the lower one
             does, 0 in the gap or without play, shape (time,).
     """
@@ -48,8 +48,9 @@ class CouplingHistory(AbstractHistory):
     twist: Float[Array, " time"] = measured("rad")
     rate: Float[Array, " time"] = measured("rad/s")
     torque: Float[Array, " time"] = measured("N m")
-    lost: Float[Array, " time"] = measured("W")
+    loss: Float[Array, " time"] = measured("W")
     flank: Int[Array, " time"] = measured("1")
+    lost = Renamed("loss")
 
 
 @answering

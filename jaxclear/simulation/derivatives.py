@@ -173,9 +173,9 @@ def in_other_steps(integrator: Any, share: Any, times: Any) -> Any:
     if share is None:
         return integrator
     finer = integrator.with_finer_steps(share)
-    if integrator.asked_step() is not None:
+    if integrator.requested_step() is not None:
         return finer
-    return finer.held(jnp.where(share < 1, share * jnp.max(jnp.diff(times)), jnp.inf))
+    return finer.with_max_step(jnp.where(share < 1, share * jnp.max(jnp.diff(times)), jnp.inf))
 
 
 def order_of(mechanism: Mechanism, integrator: AbstractIntegrator) -> int:

@@ -187,7 +187,7 @@ def _looked_at(functions: dict[str, Any], integrator: AbstractIntegrator, times:
     functions = on_host(functions)
     if not functions or is_traced((functions, integrator, times)):
         return LoadSteps(integrator, {})
-    step, fixed = concrete(integrator.asked_step()), integrator.steps_between_saves
+    step, fixed = concrete(integrator.requested_step()), integrator.steps_between_saves
     # What is known of them is looked at, also where something else is being traced.
     with jax.ensure_compile_time_eval():
         breaks, missed = _look_at(Key(functions, np.asarray(times), step, fixed))

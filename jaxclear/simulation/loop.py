@@ -158,8 +158,8 @@ def run(
     past, to a trajectory. `updates`: of worn surfaces so many times as many as usual, where steps
     are not counted."""
     formulation, integrator = integrator.formulation, with_few_enough_steps(integrator, times)
-    given = mechanism, coordinates, speeds, times, integrator
-    mechanism, turn, first = first_turn(*given, extras, past)
+    inputs = mechanism, coordinates, speeds, times, integrator
+    mechanism, turn, first = first_turn(*inputs, extras, past)
     model, worn, viewed = turn.model, first.worn, turn.model.seeing(first.read)
     spans = Span(times[:-1], times[1:], jnp.diff(times) / (times[-1] - times[0]))
     if _fits_one_kernel(integrator, extras, worn):
@@ -169,7 +169,7 @@ def run(
         last, saved = _from_save_to_save(turn, first, spans, counted, updates)
     if _sweeps_outside_kernels(model, integrator, first.warm_start):
         last, saved = forwards_only(NOT_THROUGH_SWEEPS, (last, saved))
-    states = integrator.known_states(viewed, times, saved.states, last.state, last.warm_start)
+    states = integrator.check_derivatives(viewed, times, saved.states, last.state, last.warm_start)
     history = StateHistory(mechanism, formulation, times, states, saved.read, extras.balance)
     stats, noted = RunStats(*last.steps, verdict(last.outcome)), saved.noted
     if noted is not None:
@@ -206,7 +206,7 @@ def first_turn(
     formulation = integrator.formulation
     mechanism = stabilised_as_needed(mechanism, integrator.opens_loops)
     if loads_to_settle(mechanism) and not formulation.forces_are_means:
-        system, step = model_of(mechanism, formulation).system, integrator.asked_step()
+        system, step = model_of(mechanism, formulation).system, integrator.requested_step()
         if integrator.steps_between_saves is not None:
             step = jnp.max(jnp.diff(times)) / integrator.steps_between_saves
         motion = unpack_motion(system, jnp.concatenate([coordinates, speeds]))
@@ -222,8 +222,8 @@ def first_turn(
         state = state.at[layout.remembered].set(past.remembered)
     worn = unworn(model.system) if past.worn is None else past.worn
     read = readings(model.system, worn)
-    seen = model.seeing(read)
-    warm_start = _first_warm_start(seen, integrator, times[0], state)
+    viewed = model.seeing(read)
+    warm_start = _first_warm_start(viewed, integrator, times[0], state)
     turn = Turn(model, integrator, extras.report)
     reached, none = jnp.asarray(Outcome.REACHED), jnp.zeros((), int)
     first = Carry(state, worn, read, warm_start, reached, times[0], (none, none), None, None)
@@ -319,14 +319,14 @@ class Turn:
     """One turn of the loop, from a saving time to the next, as a function of (`Carry`, `Span`)."""
 
     def __init__(self, model: Model, integrator: AbstractIntegrator, report: bool):
-        self.model, self.report, self.step = model, report, integrator.asked_step()
+        self.model, self.report, self.step = model, report, integrator.requested_step()
         self.breaks = integrator.breaks
         self.arrays, rest = packed((model, integrator))
 
         def advance(arrays, read, ahead, state, warm_start):
             model, integrator = unpacked(arrays, rest)
-            seen = model.seeing(read)
-            return integrator.advance(seen, ahead, state, warm_start)
+            viewed = model.seeing(read)
+            return integrator.advance(viewed, ahead, state, warm_start)
 
         # Traced once, however often a turn stands in the program.
         self.advance = jax.jit(advance)
@@ -336,18 +336,18 @@ class Turn:
         integrator follows none."""
         number = jnp.zeros(())
         ahead = self._ahead(Span(number, number, number), jnp.ones((), bool), None)
-        given = self.arrays, first.read, ahead, first.state, first.warm_start
-        met = jax.eval_shape(self.advance, *given)
-        peaks = jax.tree.map(lambda each: jnp.full(each.shape, -jnp.inf), met.peaks)
-        return peaks, jax.tree.map(jnp.zeros_like, met.transmitted)
+        inputs = self.arrays, first.read, ahead, first.state, first.warm_start
+        shapes = jax.eval_shape(self.advance, *inputs)
+        peaks = jax.tree.map(lambda each: jnp.full(each.shape, -jnp.inf), shapes.peaks)
+        return peaks, jax.tree.map(jnp.zeros_like, shapes.transmitted)
 
     def _ahead(self, span: Span, running: Array, peaks: Peaks | None) -> Interval:
         weights, none = error_weights(self.model), jnp.full(self.model.layout.contacts, -jnp.inf)
         if not none.size:
             return Interval(span.start, span.stop, weights, running)
-        known = Peaks(none, none) if peaks is None else peaks
-        known = known._replace(forces=none) if known.forces is None else known
-        return Interval(span.start, span.stop, weights, running, known)
+        last = Peaks(none, none) if peaks is None else peaks
+        last = last._replace(forces=none) if last.forces is None else last
+        return Interval(span.start, span.stop, weights, running, last)
 
     def worn_as(self, now: Carry, worn: Worn, read: Worn) -> Carry:
         """What is handed on with surfaces as worn now."""
@@ -362,8 +362,8 @@ class Turn:
         model, layout = self.model, self.model.layout
         running = (now.outcome == Outcome.REACHED).astype(bool)
         ahead = self._ahead(span, running, now.peaks)
-        begun = sampled(model, span.start, now.state)
-        result = self.advance(self.arrays, now.read, ahead, begun, now.warm_start)
+        start = sampled(model, span.start, now.state)
+        result = self.advance(self.arrays, now.read, ahead, start, now.warm_start)
         moving = result.state[: layout.memory_start]
         sound = jnp.all(jnp.isfinite(result.state)) & jnp.all(abs(moving) < BOUNDLESS)
         reached = closure_coordinates.anchored(model.system, layout, span.stop, result.state)
@@ -371,18 +371,18 @@ class Turn:
         # What is not held to a tolerance (worn volumes, energies) can be lost while the steps still
         # succeed.
         failed = ~sound & (result.outcome == Outcome.REACHED)
-        found = jnp.where(failed, Outcome.NOT_FINITE, result.outcome)
-        gone = is_off_surface(model.system, layout, result.state)
-        if gone is not False:
-            found = jnp.where(gone, Outcome.OFF_THE_WALLS, found)
+        ending = jnp.where(failed, Outcome.NOT_FINITE, result.outcome)
+        is_off = is_off_surface(model.system, layout, result.state)
+        if is_off is not False:
+            ending = jnp.where(is_off, Outcome.OFF_THE_WALLS, ending)
         if result.peaks is not None:
-            sunk = (found == Outcome.REACHED) & is_too_deep(model.system, result.peaks.depths)
-            found = jnp.where(sunk, Outcome.SUNK_IN, found)
-        outcome = jnp.where(running, found, now.outcome)
+            is_deep = (ending == Outcome.REACHED) & is_too_deep(model.system, result.peaks.depths)
+            ending = jnp.where(is_deep, Outcome.SUNK_IN, ending)
+        outcome = jnp.where(running, ending, now.outcome)
         ended = jnp.where(running & (outcome == Outcome.REACHED), span.stop, now.ended)
         more = lambda before, new: before + jnp.where(running, new, 0)
         steps = jax.tree.map(more, now.steps, (result.accepted, result.rejected))
-        largest = lambda known, met: newest(known, met, running & ~jnp.isnan(known))
+        largest = lambda old, new: newest(old, new, running & ~jnp.isnan(old))
         peaks = jax.tree.map(largest, now.peaks, result.peaks)
         rises = lambda before, new: jnp.where(running & (new > before), new, before)
         sent = jax.tree.map(rises, now.transmitted, result.transmitted)
@@ -482,8 +482,8 @@ def through_interval(turn: Turn) -> Callable[[Carry, Span], Carry]:
         now, _, noted = turn.motion(now, span)
         return now, ((), noted)
 
-    whole = _between_instants(turn, while_loop, part)
-    return lambda now, span: whole(now, span)[0]
+    interval = _between_instants(turn, while_loop, part)
+    return lambda now, span: interval(now, span)[0]
 
 
 def _in_one_kernel(turn: Turn, first: Carry, spans: Span, updates: Any) -> tuple[Carry, Saved]:

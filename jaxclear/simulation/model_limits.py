@@ -168,7 +168,7 @@ def collared(model: Model) -> tuple[str, ...]:
 
 def unheld(model: Model) -> tuple[str, ...]:
     """The bearings without collars that always touch."""
-    return tuple(name for name, gap in in_gaps(model).items() if gap.left(0.0) is not None)
+    return tuple(name for name, gap in in_gaps(model).items() if gap.overhang(0.0) is not None)
 
 
 def by_others(now: Instant, mechanism: Mechanism, names: tuple[str, ...]) -> list[bool]:
@@ -184,7 +184,7 @@ def by_others(now: Instant, mechanism: Mechanism, names: tuple[str, ...]) -> lis
 def sliding(system: System) -> tuple[str, ...]:
     """The bearings without collars whose journals move in their gaps."""
     gaps = {name: one.joint for name, one in system.bearings.items()}
-    return tuple(name for name, gap in gaps.items() if gap.left(0.0) is not None)
+    return tuple(name for name, gap in gaps.items() if gap.overhang(0.0) is not None)
 
 
 def pressed(reports: list[ContactReport], counted: Iterable[bool]) -> Float[Array, "2 joints"]:
@@ -205,7 +205,7 @@ def contact_loss(system: System, reports: dict[str, ContactReport]) -> Float[Arr
     """By joint how much of its bearing a journal has left at a look, in lengths of the bearing."""
     gaps = [system.bearings[name].joint for name in reports]
     shares = [
-        gap.left(report.offset[2]) for gap, report in zip(gaps, reports.values(), strict=True)
+        gap.overhang(report.offset[2]) for gap, report in zip(gaps, reports.values(), strict=True)
     ]
     return jnp.stack([jnp.asarray(share, float) for share in shares])
 

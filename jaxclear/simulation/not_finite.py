@@ -19,7 +19,7 @@ from jaxclear.ground.wording import listed, public_name
 from jaxclear.integrators.checks import Outcome
 from jaxclear.multibody.forces import effect_of, load_rows
 from jaxclear.multibody.mechanism import Mechanism
-from jaxclear.multibody.system import body_loads, coordinate_loads
+from jaxclear.multibody.system import body_loads, coordinate_loads, films_in
 from jaxclear.multibody.validation import is_users
 from jaxclear.results.state_history import StateHistory, over_time
 from jaxclear.results.trajectory import Trajectory
@@ -41,7 +41,7 @@ def message_of_the_end(trajectory: Trajectory) -> str:
     why = _of_loads(trajectory.history)
     if not why and int(trajectory.outcome) == Outcome.NOT_FINITE:
         why = _of_bristles(trajectory.mechanism)
-        why = why or _of_controllers(trajectory.mechanism)
+        why = why or _of_controllers(trajectory.mechanism) or _of_films(trajectory.mechanism)
     return f"{trajectory.result} {why}".rstrip()
 
 
@@ -69,6 +69,16 @@ def _of_bristles(mechanism: Mechanism) -> str:
         f'Joint "{name}" has {law}, whose deflections settle within '
         f"{length:.2g} m of sliding, at 1 m/s at a rate of {1 / length:.2g} 1/s: explicit steps of "
         f"at most {STABLE * length:.2g} s resolve that, and integrator.ImplicitStep needs not."
+    )
+
+
+def _of_films(mechanism: Mechanism) -> str:
+    joints = [load.connection for load in films_in(mechanism).values()]
+    if not joints:
+        return ""
+    return (
+        f"The film of {listed(joints)} damps the journal faster than explicit steps of this length "
+        "resolve; integrator.ImplicitStep needs no shorter ones."
     )
 
 

@@ -103,7 +103,7 @@ def check_steps(integrator: AbstractIntegrator | None, times: Any) -> None:
         return
     integrator = on_host(integrator)
     _check_work(integrator, times)
-    step = concrete(integrator.asked_step())
+    step = concrete(integrator.requested_step())
     if step is None or isinstance(times, jax.core.Tracer):
         return
     intervals = np.diff(np.asarray(times))
@@ -124,7 +124,7 @@ def with_few_enough_steps(
     """The integrator, its step nan where a number that only the compiled program knows asks for
     more steps up to the last of the saving times [s] than any run takes: what it ends with is then
     no number, where it would go on for ever."""
-    step = integrator.asked_step()
+    step = integrator.requested_step()
     if step is None or concrete(step) is not None:
         return integrator
     few = times[-1] - times[0] <= MOST_STEPS * step
@@ -142,7 +142,7 @@ def _check_work(integrator: AbstractIntegrator, times: Any) -> None:
             f"{public_name(kind)} has steps_per_save = {listed}; beyond {MOST_LISTED:.0e} give a "
             "step and let their number follow."
         )
-    step, shortest = concrete(integrator.asked_step()), concrete(integrator.shortest_step())
+    step, shortest = concrete(integrator.requested_step()), concrete(integrator.shortest_step())
     if step is None or shortest is None or isinstance(times, jax.core.Tracer):
         return
     duration = float(np.asarray(times)[-1])

@@ -90,7 +90,7 @@ def _run_differentiable(mechanism, coordinates, speeds, times, integrator, extra
     runner: Any = run
     if is_compared(mechanism, integrator):
         finer = lambda share, *args: (*args[:4], in_other_steps(args[4], share, args[3]), *args[5:])
-        steps = lambda *args: (args[4].asked_step(), args[3])
+        steps = lambda *args: (args[4].requested_step(), args[3])
         runner = compared(run, finer, refuse_run, steps, order_of(mechanism, integrator))
     result = backwards(integrator)(runner, *inputs)
     visible = extras.report and integrator.steps_between_saves is None
@@ -293,7 +293,7 @@ def _simulated(
     saving = checked_saving(how.save, integrator)
     times = saving_times(duration, saving.at)
     state = State() if key is not None else state_of(how.state)
-    saved = on_host(state.begins) + on_host(times)
+    saved = on_host(state.start_time) + on_host(times)
 
     def steps() -> LoadSteps:
         check_steps(integrator, times)
@@ -301,12 +301,12 @@ def _simulated(
 
     def start_state() -> Beginning:
         formulation = integrator.formulation
-        return beginning(formulation.seen(mechanism), formulation, state)
+        return beginning(formulation.modelled(mechanism), formulation, state)
 
     of_times = None if key is None or is_traced(times) else (key, np.asarray(times).tobytes())
-    steps_found = _get_or_compute(_STEPS, of_times, steps)
+    step_limits = _get_or_compute(_STEPS, of_times, steps)
     mechanism, start, past, doubt = _get_or_compute(_INITIAL, key, start_state)
-    integrator, shares = steps_found
+    integrator, shares = step_limits
     total = 1.0 if how.verify is False else 1.0 + 1 / HALF + bool(wearing_in(mechanism))
     with progress.bar(how.progress_bar, "simulating", total) as part:
         extras = Extras(how.balance, how.progress_bar, saving.events)
@@ -357,7 +357,7 @@ def _simulated_to_accuracy(
             return False
         return is_usual_cheap(mechanism, again, question)
 
-    def is_kept(run: Trajectory) -> bool:
+    def is_accurate(run: Trajectory) -> bool:
         if not isinstance(run.verification, Verified) or not run.verification.beyond:
             return isinstance(run.verification, Verified)
         # What updates and cells of worn surfaces leave no integrator mends.
@@ -367,11 +367,11 @@ def _simulated_to_accuracy(
     key = _form(mechanism, usual), question.times.tobytes()
     if how.verify and _get_or_compute(_USUAL_IS_CHEAP, key, is_cheap):
         run = _simulated(mechanism, duration, usual, how, bounds._replace(why=USUAL))
-        if is_kept(run):
+        if is_accurate(run):
             return run
     choice = chosen_for(mechanism, duration, bounds.observe, bounds.compare, how)
-    told = bounds._replace(why=choice.why)
-    return _simulated(mechanism, duration, choice.integrator, how, told)
+    stated = bounds._replace(why=choice.why)
+    return _simulated(mechanism, duration, choice.integrator, how, stated)
 
 
 def check_one_of_two(owner: str, integrator: Any) -> None:

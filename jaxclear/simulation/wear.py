@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxclear.components.wear_map import Wearing
+from jaxclear.components.wear_map import AbstractWearMap, Wearing
 from jaxclear.ground.arguments import check_name
 from jaxclear.ground.quantity import constant, is_traced
 from jaxclear.multibody.mechanism import Mechanism
@@ -105,15 +105,8 @@ def worn_by(system: System, worn: Worn, losses: Losses) -> Worn:
             for (joint, surface), (volumes, _) in losses.items()
         }
 
-        def turn(now, losses):
-            worn, pressures = now
-            worn, pressures = {name: dict(m) for name, m in worn.items()}, dict(pressures)
-            for (joint, surface), event in losses.items():
-                inputs = worn[joint][surface], None, pressures[joint, surface]
-                result = maps[joint][surface][0].deposit_in_turn(*inputs, *event)
-                worn[joint][surface], _, pressures[joint, surface] = result
-            return (worn, pressures), ()
-
+        read = jax.tree.map(lambda _: None, worn)
+        turn = lambda now, losses: (_wear_in_turn(system, (now[0], read, now[1]), losses)[::2], ())
         return scan(turn, (worn, spare), losses, long=True)[0][0]
     numbers, rest = eqx.partition(system, eqx.is_array)
 
@@ -152,12 +145,27 @@ def losses(layout: Layout, before: Array, after: Array) -> Losses:
 
 def deposited(system: System, worn: Worn, losses: Losses) -> Worn:
     """Depth maps after these losses."""
-    worn, maps = {name: dict(surfaces) for name, surfaces in worn.items()}, wear_maps(system)
-    for (bearing, surface), (volumes, places) in losses.items():
-        wear_map = maps[bearing][surface][0]
+    worn = {name: dict(surfaces) for name, surfaces in worn.items()}
+    for (joint, surface), (volumes, places) in losses.items():
+        wear_map, places = _facing_others(system, worn, joint, surface, places)
         # All events of a surface see it as it was: none comes before the others.
-        worn[bearing][surface] = wear_map.deposit(worn[bearing][surface], volumes, places)
+        worn[joint][surface] = wear_map.deposit(worn[joint][surface], volumes, places)
     return worn
+
+
+def _facing_others(
+    system: System, worn: Worn, joint: str, surface: str, places: Array
+) -> tuple[AbstractWearMap, Array]:
+    """(map of a surface, location features of its events) beside what the other surfaces of its
+    joint have lost in the mean."""
+    maps = wear_maps(system)[joint]
+    loss: Any = 0.0
+    for other, (other_map, _) in maps.items():
+        if other != surface:
+            areas = other_map.areas()
+            loss = loss + jnp.sum(worn[joint][other] * areas) / jnp.sum(areas)
+    wear_map = maps[surface][0]
+    return (wear_map, places) if len(maps) == 1 else wear_map.facing(loss, places)
 
 
 def longest_path(system: System, losses: Losses) -> Array:
@@ -200,13 +208,20 @@ def worn_so_far(
     """
     worn, read, before = now
     events, reached = pending_losses(layout, before.since, state, wears)
-    worn, read = ({name: dict(m) for name, m in each.items()} for each in (worn, read))
-    maps, pressures = wear_maps(system), dict(before.pressures)
-    for (joint, surface), (volumes, places) in events.items():
-        inputs = worn[joint][surface], read[joint][surface], pressures[joint, surface]
-        result = maps[joint][surface][0].deposit_in_turn(*inputs, volumes, places)
-        worn[joint][surface], read[joint][surface], pressures[joint, surface] = result
+    worn, read, pressures = _wear_in_turn(system, (worn, read, before.pressures), events)
     return worn, read, Pending(reached, pressures)
+
+
+def _wear_in_turn(system: System, now: tuple[Worn, Any, Any], losses: Losses) -> tuple:
+    """(depth maps, as gaps read them, pressures) after these losses, cell by cell."""
+    worn, read = ({name: dict(m) for name, m in part.items()} for part in now[:2])
+    pressures = dict(now[2])
+    for (joint, surface), (volumes, places) in losses.items():
+        wear_map, places = _facing_others(system, worn, joint, surface, places)
+        inputs = worn[joint][surface], read[joint][surface], pressures[joint, surface]
+        result = wear_map.deposit_in_turn(*inputs, volumes, places)
+        worn[joint][surface], read[joint][surface], pressures[joint, surface] = result
+    return worn, read, pressures
 
 
 def pending_losses(

@@ -146,13 +146,17 @@ def posed(
                 "where the mechanism rests; give that of its shaft or teeth."
             )
     ends: dict[Any, Any] = motor_ends(mechanism)
+    acting = acting_in(mechanism)
     for name, load in mechanism.loads.items():
         steered = load.motor_of() if isinstance(load, AbstractStateLoad) and load.states() else None
         place = ends[steered].coordinate if steered in ends else steered
-        if steered is not None and not {steered, place} & {*drives}:
+        # An encoder at the motor does not see where the joint is.
+        sees_motor = steered in ends and steered not in acting[name].coordinates()
+        if steered is not None and not {place, *([] if sees_motor else [steered])} & {*drives}:
+            angles = f' (angles of the motor: its ratio times those of "{steered}")'
             raise ValueError(
                 f'load "{name}" is a controller whose states decide where "{place}" rests; hold '
-                f'that: positions={{"{place}": [...]}}.'
+                f'that: positions={{"{place}": [...]}}{angles if steered in ends else ""}.'
             )
     mechanism, motors = _constrain_motors(mechanism, drives)
     for name in drives:
@@ -179,7 +183,7 @@ def posed(
         if name in drives:
             joint = _drive_of(name, joint)
         connections[name] = Connection(joint, connection.parent, connection.child)
-    start, guess = (_free(mechanism.given[what], drives) for what in ("start", "guess"))
+    start, guess = (_free(mechanism.start_arguments[what], drives) for what in ("start", "guess"))
     loads = at_rest_under(mechanism.loads, drives)
     # What a run begins with says where the mechanism stands at one position only.
     bare = Mechanism(
@@ -219,7 +223,7 @@ def _constrain_motors(
         if not isinstance(load, AbstractStateLoad) or not {*acting[name].coordinates()} & {*motors}
     }
     kinds = ("start", "guess", "speeds")
-    starts = {what: _free(mechanism.given[what], tuple(motors)) for what in kinds}
+    starts = {what: _free(mechanism.start_arguments[what], tuple(motors)) for what in kinds}
     bare = rebuilt(mechanism, couplings=couplings, loads=loads, **starts)
     return bare, motors
 

@@ -18,7 +18,7 @@ from tqdm import tqdm
 
 from jaxclear.errors.accuracy import ratio_to_allowed
 from jaxclear.errors.choice import Question, Rung, Search, Tried, budget_of, others_of, rungs_of
-from jaxclear.ground.argument_errors import answering
+from jaxclear.ground.argument_errors import Renamed, answering
 from jaxclear.ground.arguments import check_flags, check_number, expect
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.printing import as_typed
@@ -182,9 +182,9 @@ class Trial(NamedTuple):
 
 
 class Advice(AbstractAnswer):
-    """What to take for the problem that was `asked` about. `recommended` is the integrator,
-    `problem` the problem with it, `sentence()` the answer in words, `why_not()` what is wrong with
-    the others, `table()` every trial; `jaxclear.plot.work_precision` draws it.
+    """What to take for `original_problem`. `recommended` is the integrator, `problem` the problem
+    with it, `sentence()` the answer in words, `why_not()` what is wrong with the others, `table()`
+    every trial; `jaxclear.plot.work_precision` draws it.
 
     `chosen`: the trial that is recommended, `trials` all of them; `cost` [s/s]: CPU time for a
     simulated second of one run. `at(accuracy)` asks the same at another accuracy, and runs
@@ -197,10 +197,12 @@ class Advice(AbstractAnswer):
     trials: tuple[Trial, ...]
     chosen: Trial
     cost: float
+    asked = Renamed("original_problem")
+    met = Renamed("is_accurate")
 
     @property
-    def asked(self) -> Problem:
-        """The problem that was asked about."""
+    def original_problem(self) -> Problem:
+        """The problem without the advice."""
         return self.copies.problem
 
     @property
@@ -209,7 +211,7 @@ class Advice(AbstractAnswer):
         return self.request.accuracy
 
     @property
-    def met(self) -> bool:
+    def is_accurate(self) -> bool:
         """True where the recommended setting keeps the accuracy, as finer ones tell."""
         return self.chosen.meets
 
@@ -221,7 +223,7 @@ class Advice(AbstractAnswer):
     @property
     def problem(self) -> Problem:
         """The problem with the recommended integrator."""
-        return self.asked.with_integrator(self.recommended)
+        return self.original_problem.with_integrator(self.recommended)
 
     def at(self, accuracy: float) -> "Advice":
         """The same at another accuracy."""
@@ -230,7 +232,7 @@ class Advice(AbstractAnswer):
     def sentence(self) -> str:
         """The answer in plain words."""
         parts = [self._recommended(), *self._models(), self._present_text()]
-        if not self.met:
+        if not self.is_accurate:
             parts.append(PARTING)
         many = len(self.copies.values)
         runs = "one run" if many == 1 else f"{many} runs within the tolerances"
@@ -240,8 +242,9 @@ class Advice(AbstractAnswer):
         trial, limit = self.chosen, _percent(self.accuracy)
         text, (which, error) = as_typed(trial.integrator), trial.worst
         named = f' in "{which}"' if len(trial.errors) > 1 else ""
-        head = f"{text} keeps {limit}:" if self.met else f"Nothing tried keeps {limit}; {text}:"
-        seconds = f"{self.cost * float(self.asked.duration):.2g} s"
+        keeps = f"{text} keeps {limit}:"
+        head = keeps if self.is_accurate else f"Nothing tried keeps {limit}; {text}:"
+        seconds = f"{self.cost * float(self.original_problem.duration):.2g} s"
         return (
             f"{head} estimated error {_percent(error)}{named}, {trial.work} evaluations of forces "
             f"a run, {seconds} here."
@@ -304,7 +307,7 @@ class Advice(AbstractAnswer):
         return f"too inaccurate: {text}, at {ratio}."
 
     def _stated(self):
-        responses, every = self.asked.response_names, self.trials
+        responses, every = self.original_problem.response_names, self.trials
         over = lambda read: [read(trial) for trial in every]
         entries = {
             "method": over(lambda t: t.method),
@@ -323,7 +326,7 @@ class Advice(AbstractAnswer):
             "remark": over(lambda t: t.remark),
         }
         columns = {name: Column(("trial",), values) for name, values in entries.items()}
-        return Stated("advice", columns, self.asked)
+        return Stated("advice", columns, self.original_problem)
 
 
 class _Rungs(NamedTuple):
@@ -466,7 +469,7 @@ def _values(problem: Problem, pilot: PilotSettings) -> np.ndarray:
 
 def _possible(problem: Problem, values: np.ndarray) -> bool:
     """Whether there is a mechanism of these values, and it can start."""
-    mechanism = problem.seen(problem.setting(values))
+    mechanism = problem.model(problem.setting(values))
     if not all(bool(np.all(inside(leaf, metadata))) for _, leaf, metadata in numbers(mechanism)):
         return False
     try:

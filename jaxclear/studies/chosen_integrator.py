@@ -56,7 +56,7 @@ def unasked(
     """The integrator of a study that asks for none, why, and the accuracy for which it was chosen
     (None: it was not)."""
     usual, why = usual_integrator(mechanism, duration)
-    step = on_host(usual.asked_step())
+    step = on_host(usual.requested_step())
     if not why or step is None or duration <= DEAR * step:
         return usual, why, None
     choice = chosen_integrator(mechanism, response, duration, UNASKED, how)

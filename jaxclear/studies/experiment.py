@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxclear.ground.argument_errors import Renamed
 from jaxclear.ground.quantity import AbstractQuantified
 from jaxclear.integrators import Outcome
 from jaxclear.integrators.checks import Check, Checks
@@ -54,6 +55,7 @@ class AbstractVariable(AbstractQuantified):
     is a number of is the `subject` of an experiment: a mechanism, or a dictionary of numbers."""
 
     distribution: eqx.AbstractVar[AbstractDistribution | AbstractJointDistribution]
+    told = Renamed("identity")
 
     @property
     def parts(self) -> tuple[str, ...]:
@@ -88,7 +90,7 @@ class AbstractVariable(AbstractQuantified):
         """
 
     @abstractmethod
-    def told(self, name: str, subject: Any) -> dict[str, Any]:
+    def identity(self, name: str, subject: Any) -> dict[str, Any]:
         """All that tells it from another, but for its distribution.
 
         Args:
@@ -186,7 +188,11 @@ class ResponseInfo(NamedTuple):
     infinite: str = ""
     horizon: float = float("inf")
 
-    def promised(self, size: float) -> float | None:
+    @property
+    def promised(self) -> Any:
+        return Renamed("tolerance", "promised").__get__(self, type(self))
+
+    def tolerance(self, size: float) -> float | None:
         """The largest error of its mean with which a response of this `size` (root mean square)
         counts as right, in its unit; None where nothing is promised.
 

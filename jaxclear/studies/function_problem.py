@@ -108,7 +108,7 @@ class Dimension(AbstractVariable):
     def put(self, name, subject, value):
         return subject | {name: value}
 
-    def told(self, name, subject):
+    def identity(self, name, subject):
         return {f'"{name}"': (self.nominal, self.unit)}
 
 

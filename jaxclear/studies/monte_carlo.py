@@ -9,7 +9,7 @@ from typing import Any
 import equinox as eqx
 import numpy as np
 
-from jaxclear.ground.argument_errors import Renamed, answering
+from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_count, check_flags, check_name, check_number
 from jaxclear.ground.quantity import on_device
 from jaxclear.integrators.checks import Checks
@@ -113,10 +113,6 @@ class MonteCarlo(AbstractAnswer):
     def warnings(self) -> dict[int, tuple[str, ...]]:
         """What each of those warns of, by its index."""
         return {int(i): self.checks.of_sample(int(i)).warnings for i in self.warned}
-
-    concerned = Renamed("affected_samples")
-    doubts = Renamed("accuracy_warnings")
-    doubts_of = Renamed("accuracy_warnings_of")
 
     def affected_samples(self, response: str) -> np.ndarray:
         """Indices of the samples that carry a warning which concerns this response (peak forces

@@ -270,7 +270,7 @@ class Problem(AbstractQuantified):
         """All that tells this problem from another, by name, but for the distributions."""
         parts, subject = self.experiment.parts(), self.experiment.subject
         for name in self.variable_names:
-            parts |= self.variables[name].told(name, subject)
+            parts |= self.variables[name].identity(name, subject)
         return parts
 
     def check_values(self, values: Any) -> None:

@@ -154,7 +154,7 @@ def _beyond(problem: Problem, replicas: Replicas, response: str) -> str:
     values, _ = replicas.pairs(response)
     size = float(np.sqrt(np.mean(values**2))) if len(values) else np.nan
     info = problem.description.responses[response]
-    promised = info.promised(size)
+    promised = info.tolerance(size)
     if promised is None or not abs(bias) > max(promised, uncertainty):
         return ""
     unit = "" if info.unit == "1" else f" {info.unit}"

@@ -158,7 +158,7 @@ class RunExperiment(AbstractExperiment):
         self.duration, self.shares = on_device(times[-1]), on_device(times * (1 / times[-1]))
         check_run(mechanism, self.integrator)
         check_steps(integrator, times)
-        modelled = self.integrator.formulation.seen(mechanism)
+        modelled = self.integrator.formulation.modelled(mechanism)
         self.past = past_of(modelled, self.integrator.formulation, self.state)
         self.updates = on_device(1)
         self.integrator = self._load_steps().integrator
@@ -182,7 +182,7 @@ class RunExperiment(AbstractExperiment):
                 raise
             usual = MoreauJean()
             check_run(self.mechanism, usual)
-        modelled = usual.formulation.seen(self.mechanism)
+        modelled = usual.formulation.modelled(self.mechanism)
         check_answers(self.response, lambda: sketched(modelled, usual.formulation, times, events))
 
     @property
@@ -202,9 +202,9 @@ class RunExperiment(AbstractExperiment):
         amount. Coordinates of the start that the loops determine become guesses."""
         return loosened(setting(self.mechanism), self.determined)
 
-    def seen(self, setting: Setting) -> Mechanism:
+    def model(self, setting: Setting) -> Mechanism:
         """The mechanism of one setting as it is simulated."""
-        modelled = self.integrator.formulation.seen(self.with_values(setting))
+        modelled = self.integrator.formulation.modelled(self.with_values(setting))
         return with_redundancy(modelled, self.redundancy)
 
     def started(
@@ -212,7 +212,7 @@ class RunExperiment(AbstractExperiment):
     ) -> tuple[Mechanism, Start, Trajectory]:
         """The mechanism of one setting as it is simulated, its start, and its run; pure.
         `discrete`: derivatives are those of the steps."""
-        mechanism = self.seen(setting)
+        mechanism = self.model(setting)
         motion = self.state.motion
         if motion is None:
             rough = self._beginning(mechanism)
@@ -228,8 +228,8 @@ class RunExperiment(AbstractExperiment):
 
     def _times(self) -> Array:
         """Saving times [s]."""
-        begins, shares, duration = on_host((self.state.begins, self.shares, self.duration))
-        return begins + shares * duration
+        start, shares, duration = on_host((self.state.start_time, self.shares, self.duration))
+        return start + shares * duration
 
     def _beginning(self, mechanism: Mechanism) -> tuple[Array, Array] | None:
         """Coordinates and speeds from which the start of a sample is sought; None for its own
@@ -250,7 +250,7 @@ class RunExperiment(AbstractExperiment):
         """Runs in finer steps, whose surfaces wear more often; where steps between saving times are
         counted there are more of these, and responses see runs at those that were asked for."""
         mechanism = with_redundancy(
-            self.integrator.formulation.seen(loosened(self.mechanism, self.determined)),
+            self.integrator.formulation.modelled(loosened(self.mechanism, self.determined)),
             self.redundancy,
         )
         counting = self.integrator
@@ -312,7 +312,7 @@ class RunExperiment(AbstractExperiment):
         return ResponseInfo(unit, concerns, promise, self.integrator.remedy)
 
     def _limits_of_derivatives(self) -> tuple[str, str]:
-        modelled = self.integrator.formulation.seen(self.mechanism)
+        modelled = self.integrator.formulation.modelled(self.mechanism)
         if self.integrator.through_contacts and not self.integrator.pathwise:
             doubt = "nothing controls the error of derivatives"
             return refusal(modelled, self.integrator), doubt
@@ -355,7 +355,7 @@ def _answers(experiment: RunExperiment, setting: Setting, discrete: bool) -> Sam
     are wanted, where the integrator has them."""
     integrator = experiment.integrator
     has_pathwise = discrete and integrator.pathwise
-    modelled = integrator.formulation.seen(experiment.mechanism)
+    modelled = integrator.formulation.modelled(experiment.mechanism)
     if not has_pathwise and is_compared(modelled, integrator):
         evaluate = compared(_answered, _finer, _guard, _steps, order_of(modelled, integrator))
         return backwards(integrator)(evaluate, experiment, setting)
@@ -389,7 +389,7 @@ def _finer(share: Any, experiment: RunExperiment, setting: Setting) -> tuple[Any
 
 
 def _steps(experiment: RunExperiment, _: Any) -> tuple[Any, Any]:
-    return experiment.integrator.asked_step(), experiment.shares * experiment.duration
+    return experiment.integrator.requested_step(), experiment.shares * experiment.duration
 
 
 def _guard(result: SampleResult, tangents: SampleResult, ratios: Array, least: Any) -> SampleResult:

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxclear.components.body import Marker
-from jaxclear.ground.argument_errors import nothing_else
+from jaxclear.ground.argument_errors import Renamed, nothing_else
 from jaxclear.ground.arguments import check_name, expect
 from jaxclear.ground.quantity import Scalar, count, quantity
 from jaxclear.multibody.topology import coordinate_units
@@ -304,12 +304,13 @@ class Series(AbstractSensor):
 
     Args:
         name: name of the series.
-        given: whether it is an input of the machine, such as the motion of a drive, used by
+        is_input: whether it is an input of the machine, such as the motion of a drive, used by
             functions that make a problem of a record and not compared; False by default.
     """
 
     name: str = eqx.field(static=True)
-    given: bool = eqx.field(static=True, default=False)
+    is_input: bool = eqx.field(static=True, default=False)
+    given = Renamed("is_input")
 
     def unit_in(self, mechanism):
         return "1"

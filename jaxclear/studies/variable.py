@@ -148,7 +148,7 @@ class Variable(AbstractMechanismVariable):
                 distribution = marginals_of(self.distribution)[place if self.parts else 0]
                 _warn_of_cut_off(name, on_host(distribution), float(leaf), (path, metadata, unit))
 
-    def told(self, name, subject):
+    def identity(self, name, subject):
         leaves = jax.tree_util.tree_leaves_with_path(subject)
         paths = {id(leaf): jax.tree_util.keystr(path).lstrip(".") for path, leaf in leaves}
         places = ", ".join(paths[id(leaf)] for leaf in self.leaves(subject))
@@ -278,7 +278,7 @@ class Condition(AbstractFreeVariable, AbstractMechanismVariable):
                 "change numbers only, as with equinox.tree_at."
             )
 
-    def told(self, name, subject):
+    def identity(self, name, subject):
         return {f'what "{name}" does': self.acts, f'nominal of "{name}"': self.nominal}
 
 

@@ -58,7 +58,7 @@ def test_a_usual_run_that_is_not_as_accurate_is_followed_by_a_choice(monkeypatch
 
 def test_what_is_promised_is_what_was_asked(bearing):
     _, run = bearing
-    promised = {told.part: told.promised for told in run.verification.entries}
+    promised = {told.part: told.tolerance for told in run.verification.entries}
     assert promised["places"] == promised["mean_force"] == promised["losses"] == ASKED
     assert promised["gaps"] is None and promised["peak_force"] is None
 
@@ -89,8 +89,8 @@ def test_numbers_in_units_are_asked_by_answer_or_response(bearing):
         assert abs(float(force(run) - force(exact))) <= 0.5
         assert not run.warnings
     told = by_answer.verification.entries
-    assert {each.answer for each in told if each.promised is not None} == {"mean contact force"}
-    assert by_response.verification.entries[-1].promised == pytest.approx(
+    assert {each.answer for each in told if each.tolerance is not None} == {"mean contact force"}
+    assert by_response.verification.entries[-1].tolerance == pytest.approx(
         0.5 / float(force(exact)), 0.1
     )
 

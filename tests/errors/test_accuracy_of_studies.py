@@ -94,7 +94,7 @@ def test_a_guess_that_takes_many_steps_is_replaced_by_a_choice(monkeypatch):
 
 def test_a_study_is_held_to_what_was_asked(asked):
     """Replicas of its samples are beside a share of the root mean square."""
-    assert asked.description.responses["force"].promised(500.0) == 5.0
+    assert asked.description.responses["force"].tolerance(500.0) == 5.0
     units = problem(accuracy={"force": 5.0})
     known = units.description.responses
-    assert known["force"].promised(500.0) == 5.0 and known["wear"].promised(1.0) is None
+    assert known["force"].tolerance(500.0) == 5.0 and known["wear"].tolerance(1.0) is None

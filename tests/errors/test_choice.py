@@ -29,12 +29,12 @@ def ladder(step, evaluations=1, controlled=False):
 
 
 def steps(setting):
-    return math.ceil(1 / float(setting.asked_step()) - 1e-9)
+    return math.ceil(1 / float(setting.requested_step()) - 1e-9)
 
 
 def by_order(order, constant=1.0):
     return lambda setting, share: Run(
-        constant * float(setting.asked_step()) ** order, steps(setting)
+        constant * float(setting.requested_step()) ** order, steps(setting)
     )
 
 
@@ -116,7 +116,7 @@ def test_steps_that_follow_the_motion_are_not_run_where_their_first_part_is_too_
 
     def again(setting, share):
         shares.append(share)
-        step = setting.asked_step()
+        step = setting.requested_step()
         return Run(0.0, int(1e6 * share) if step is None else steps(setting))
 
     found = choice([choosing._controlled(RIG), ladder(0.1)], again, 1.0, budget=1e5)

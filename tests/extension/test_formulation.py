@@ -24,7 +24,7 @@ class PlasticContact(jc.formulation.AbstractFormulation):
             if any(laws.friction for laws in mechanism.connections[name].joint.contact_laws()):
                 raise ValueError(f'joint "{name}" rubs, which {integrator} knows nothing of.')
 
-    def seen(self, mechanism):
+    def modelled(self, mechanism):
         return mechanism
 
     def impulses(self, system):

@@ -450,15 +450,6 @@ def test_a_scene_over_positions_asks_the_same_after_it_was_written(ending, tmp_p
     np.testing.assert_array_equal(again.stand().body("coupler").com, stood.body("coupler").com)
 
 
-def test_the_old_word_for_a_start_at_rest_warns(tmp_path):
-    path = tmp_path / "scene.yaml"
-    jc.write_scene(jc.Scene(jc.scenes.slider_crank(), 0.1, state="resting"), path)
-    path.write_text(path.read_text().replace("resting", "seated"))
-    with pytest.warns(FutureWarning, match='"seated" of a Scene is called "resting" now'):
-        old = jc.read_scene(path)
-    assert old.state == "seated"
-
-
 def test_a_scene_is_a_run_or_positions(tmp_path):
     rig = jc.scenes.slider_crank()
     for given, sentence in (

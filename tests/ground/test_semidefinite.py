@@ -11,9 +11,11 @@ from jaxclear.ground.factorisation import (
     factor,
     factor_of_rank,
     is_written_out,
+    placed,
     solve,
     solve_least,
 )
+from jaxclear.native.rows import operations_of
 
 # The condition of the matrices drawn here is below 1e4.
 ROUNDING = 1e-9
@@ -88,3 +90,18 @@ def test_both_ways_solve_the_system(size):
     factors = factor([list(row) for row in jnp.asarray(matrix)])
     found = jnp.stack(solve(factors, tuple(jnp.asarray(right))))
     np.testing.assert_allclose(found, np.linalg.solve(matrix, right), rtol=1e-9, atol=1e-12)
+
+
+def test_constants_of_a_wide_array_are_no_operations():
+    """Of each that is put into place by itself XLA makes a piece of a program."""
+
+    def rows(x):
+        entries = {(i, i): float(i % 3 - 1) for i in range(50)}
+        return placed(entries | {(i, i + 5): x[i] for i in range(4)}, (50, 60))
+
+    x = np.array([2.0, 3.0, 5.0, 7.0])
+    wanted = np.zeros((50, 60))
+    wanted[range(50), range(50)] = np.arange(50) % 3 - 1
+    wanted[range(4), np.arange(4) + 5] = x
+    np.testing.assert_array_equal(jax.jit(rows)(x), wanted)
+    assert operations_of(jax.make_jaxpr(rows)(x).jaxpr) < 50

@@ -190,3 +190,25 @@ def test_responses_of_films_refuse_a_dry_joint():
     for response in (jc.response.ThinnestFilm("B"), jc.response.FilmFriction("B")):
         with pytest.raises(ValueError, match='"B" has no film'):
             response(run)
+
+
+def test_a_run_shows_the_force_of_its_film_in_the_place_of_contacts_that_never_touch():
+    """In the steady state the film carries the load; no tolerance is infinite."""
+    film = jc.film.Reynolds(viscosity=0.04)
+    step = jc.integrator.ImplicitStep(1e-4)
+    run = jc.simulate(rotor(film), 0.3, save=51, integrator=step, verify=True)
+    table = run.verification.table()
+    values = dict(zip(table["quantity"], table["value"], strict=True))
+    (force,) = (value for name, value in values.items() if "mean film force" in name)
+    assert force == pytest.approx(MASS * 9.81, rel=1e-2)
+    size = np.linalg.norm(run.reaction("B.film").force, axis=1)
+    assert force == pytest.approx(np.trapezoid(size, run.time) / 0.3, rel=1e-9)
+    assert "contact force" not in str(run) and "inf" not in str(run)
+    loose = jc.simulate(jc.scenes.slider_crank(), 2e-4, save=11, verify=True)
+    assert 'mean contact force, "B"' in str(loose) and "inf" not in str(loose)
+
+
+def test_a_film_too_stiff_for_explicit_steps_is_named_with_the_steps_that_need_no_shorter_ones():
+    rig = rotor(jc.film.Reynolds(viscosity=40.0))
+    with pytest.raises(jc.SimulationError, match=r'film of "B".*integrator\.ImplicitStep'):
+        jc.simulate(rig, 5e-3, save=6, integrator=jc.integrator.FixedStep(1e-3))

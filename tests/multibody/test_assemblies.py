@@ -135,7 +135,7 @@ def test_all_modes_are_listed(name):
             for row in listed.coordinates
         ]
         assert min(off) < MET
-    assert np.all(listed.sign != 0) and np.all(listed.smallest > 0) and np.all(listed.found > 0)
+    assert np.all(listed.sign != 0) and np.all(listed.smallest > 0) and np.all(listed.counts > 0)
     # Half of the modes lie on either side of the positions in which two meet.
     assert listed.sign.sum() == 0
 

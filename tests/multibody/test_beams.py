@@ -220,7 +220,9 @@ def test_spun_up_cantilever():
 def test_a_rod_that_bends_stands_in_the_place_of_a_rigid_one():
     base = jc.scenes.slider_crank("planar", 2e-4, crank_speed=150.0)
     rod = jc.Beam(0.12, jc.section.Circle(6e-3), STEEL, DENSITY, 4, 0.02)
-    rig = jc.Mechanism(base.bodies | {"rod": rod}, base.connections, base.loads, **base.given)
+    rig = jc.Mechanism(
+        base.bodies | {"rod": rod}, base.connections, base.loads, **base.start_arguments
+    )
     assert rig.topology.loops == ()
     assert [rig.connections[n].parent.body for n in ("B", "rod bend 2")] == ["rod 5", "rod 2"]
     printed = str(rig)
@@ -325,7 +327,9 @@ def test_a_load_that_settles_by_its_inertia_acts_beside_a_beam():
     rod = jc.Beam(0.12, jc.section.Circle(6e-3), STEEL, DENSITY, 2, 0.02)
     scene = jc.scenes.slider_crank("ideal", crank_speed=20.0)
     rubs = scene.loads | {"rub": jc.load.JointFriction("G", torque=5.0)}
-    rig = jc.Mechanism(scene.bodies | {"rod": rod}, scene.connections, rubs, **scene.given)
+    rig = jc.Mechanism(
+        scene.bodies | {"rod": rod}, scene.connections, rubs, **scene.start_arguments
+    )
     how = jc.integrator.ImplicitStep(1e-5)
     run = jc.simulate(rig, 2e-3, save=3, integrator=how, verify=False)
     assert abs(run.transmitted("rub")[-1]) == pytest.approx(5.0, rel=1e-2)

@@ -107,7 +107,7 @@ def test_a_changed_number_keeps_the_order_of_names_and_their_paths():
 def test_another_body_or_load_gives_another_mechanism():
     loaded = RIG.with_load("motor", LOAD)
     assert list(loaded.loads) == ["gravity", "motor"] and list(RIG.loads) == ["gravity"]
-    assert loaded.given.keys() == RIG.given.keys() and loaded.start == RIG.start
+    assert loaded.start_arguments.keys() == RIG.start_arguments.keys() and loaded.start == RIG.start
     heavy = RIG.with_body("fore", BODY)
     assert float(heavy.bodies["fore"].mass) == 3.0 and list(heavy.bodies) == ["upper", "fore"]
     still = jc.Mechanism(RIG.bodies, RIG.connections, stabilisation=None)

@@ -47,6 +47,11 @@ def test_lost_motion_behind_a_servo_is_that_of_the_motor_it_holds():
     rig = arm(servo, torque=torque, couplings={"gear": gear})
     with pytest.raises(ValueError, match='load "servo" is a controller .* "gear.motor" rests'):
         jc.positions(rig, {}, reverse_loads=True)
+    # The joint is not what the encoder sees: held there the play and the twist would not show.
+    with pytest.raises(ValueError, match=r'hold that: positions={"gear.motor": .* of "A"'):
+        jc.positions(rig, {"A": [0.3]}, reverse_loads=True)
+    at_load = rig.with_load("servo", jc.load.Servo("A", 0.3, KP, ki=50.0, kd=KD, encoder="load"))
+    assert jc.positions(at_load, {"A": [0.3]}).coordinate("A") == 0.3
     held = {"gear.motor": [0.3]}
     stands = jc.positions(rig, held, reverse_loads=True)
     lost = float(jc.response.LostMotion("A")(stands))

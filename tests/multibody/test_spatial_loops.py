@@ -11,10 +11,10 @@ import pytest
 
 import jaxclear as jc
 from jaxclear.ground.factorisation import least_change, of_rank
-from jaxclear.multibody import assembly
+from jaxclear.multibody import assembly, redundancy
 from jaxclear.native import as_kernel, rows
 from jaxclear.native.rows import operations_of
-from tests.rigs.spatial_loops import hinge_loops
+from tests.rigs.spatial_loops import SPEED, double_cardan, hinge_loops
 
 
 def of_numbers(function, rig, *rest):
@@ -27,10 +27,10 @@ def of_numbers(function, rig, *rest):
 
 def test_of_more_loops_xla_compiles_no_more(monkeypatch):
     """Written out an assembly of ten hinges and two loops took XLA 15 s to compile."""
-    judged, numbers = of_numbers(assembly._judged.__wrapped__, hinge_loops(2), True, None)
+    judged, numbers = of_numbers(assembly._find_start.__wrapped__, hinge_loops(2), True, None)
     left = operations_of(jax.make_jaxpr(judged)(numbers).jaxpr)
     monkeypatch.setattr(rows, "LONG", 10**9)
-    judged, numbers = of_numbers(assembly._judged.__wrapped__, hinge_loops(2), True, None)
+    judged, numbers = of_numbers(assembly._find_start.__wrapped__, hinge_loops(2), True, None)
     whole = operations_of(jax.make_jaxpr(judged)(numbers).jaxpr)
     assert left < rows.SHORT + 0.3 * whole and whole > 10_000
 
@@ -68,3 +68,23 @@ def test_row_operations_of_any_size_are_kernels(count, caplog):
     np.testing.assert_allclose(chosen.change, wanted, atol=1e-11)
     assert whole.exact.tolist() == [True] * (count - 1) + [False] and chosen.exact.all()
     assert not [x for x in caplog.messages if "left to XLA" in x]
+
+
+def test_a_start_whose_loops_are_closed_is_not_searched_again(monkeypatch):
+    """Rows of double Cardan shafts beside each other depend on each other; positions that tell
+    which are sought at several instants, by one program."""
+    found, find = [], assembly._find_start
+    monkeypatch.setattr(assembly, "_find_start", lambda *asked: found.append(1) or find(*asked))
+    times, moved = [], redundancy._moved
+    monkeypatch.setattr(
+        redundancy, "_moved", lambda *asked: times.append(asked[-1]) or moved(*asked)
+    )
+    rig = double_cardan(2)
+    start, mechanism = jc.assemble(rig), assembly.ready(rig).mechanism
+    assert mechanism.topology.redundancy.depend and len(found) == 2
+    assert len(set(map(float, times))) > 1 and all(eqx.is_array(time) for time in times)
+    # The output turns as the input does.
+    outlet = [branch.name for branch in mechanism.topology.branches].index("outlet")
+    np.testing.assert_allclose(
+        start.speeds[mechanism.topology.branches[outlet].speeds], SPEED, rtol=1e-9
+    )

@@ -10,6 +10,7 @@ import pytest
 
 import jaxclear as jc
 from jaxclear.ground.factorisation import least_change
+from jaxclear.multibody import assembly
 from jaxclear.multibody.assembly import assemble_arrays
 
 ROD = 0.12
@@ -373,3 +374,50 @@ def test_a_start_beyond_a_stop_or_inside_a_flank_says_so(limits, inside, beyond,
     assert not jc.simulate(limited(inside, **limits), 1e-3, save=2).warnings
     (sentence,) = jc.simulate(limited(beyond, **limits), 1e-3, save=2).warnings
     assert said in sentence
+
+
+def hanging(spread):
+    """Three bars in line below each other, drawn so far apart [m] that their pins miss by it."""
+    pin = jc.clearance.PlanarJournalBearing(
+        jc.contact.Rigid(), None, bearing_radius=10e-3, clearance=1e-4
+    )
+    names, length = ("upper", "middle", "lower"), 0.1
+    bar = jc.Body(0.1, 1e-4, (length / 2, 0.0))
+    ends = [jc.Marker("ground"), *(jc.Marker(name, (length, 0.0)) for name in names[:-1])]
+    places = {name: (0.0, -i * length - spread, -np.pi / 2) for i, name in enumerate(names)}
+    return jc.Mechanism(
+        dict.fromkeys(names, bar),
+        {f"pin of {n}": jc.Connection(pin, e, n) for n, e in zip(names, ends, strict=True)},
+        guess=places,
+    )
+
+
+@pytest.mark.parametrize("spread", [0.0, 1e-5])
+def test_what_is_drawn_closed_is_not_searched(spread, monkeypatch):
+    """The pins of bars that hang in line are a length apart."""
+    searched, search = [], assembly._searched
+    monkeypatch.setattr(assembly, "_searched", lambda *asked: searched.append(1) or search(*asked))
+    jax.clear_caches()
+    start = jc.assemble(hanging(spread))
+    wanted = [(0.0, -0.1 * i, -np.pi / 2) for i in range(3)]
+    np.testing.assert_allclose(np.reshape(start.coordinates, (3, 3)), wanted, atol=1e-12)
+    assert bool(searched) == bool(spread)
+
+
+def test_where_drives_move_joints_speeds_follow_a_drawn_position():
+    """A parallelogram, drawn closed: its far crank turns as the driven one does."""
+    hinge, drive = jc.joint.Revolute, jc.drive.ConstantSpeed(3.0, 1.0)
+    bar = jc.Body(1.0, 0.1)
+    rig = jc.Mechanism(
+        {"crank": bar, "coupler": bar, "rocker": bar},
+        {
+            "A": jc.Connection(hinge(drive=drive), "ground", "crank"),
+            "B": jc.Connection(hinge(), jc.Marker("crank", (1.0, 0.0)), "coupler"),
+            "D": jc.Connection(hinge(), jc.Marker("ground", (2.0, 0.0)), "rocker"),
+            "C": jc.Connection(
+                hinge(), jc.Marker("coupler", (2.0, 0.0)), jc.Marker("rocker", (1.0, 0.0))
+            ),
+        },
+        start={"B": -1.0, "D": 1.0},
+    )
+    np.testing.assert_allclose(jc.assemble(rig).speeds, (-3.0, 3.0), atol=1e-9)

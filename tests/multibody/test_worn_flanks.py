@@ -84,6 +84,20 @@ def test_a_run_begins_between_flanks_as_worn():
     np.testing.assert_allclose(twist, 0.5e-3 + TORQUE / 2e3 + 5e-5 / RADIUS, atol=1e-6)
 
 
+@pytest.mark.parametrize("law", [jc.flank.Nordin(), jc.flank.ElastoBacklash()])
+def test_a_run_that_goes_on_presses_the_flank_as_worn_at_once(law):
+    """Motor and brake are in balance, so the torque goes on as it was."""
+    steps = jc.integrator.ImplicitStep(1e-4)
+    run = jc.simulate(
+        one_way(worn_play(share=0.1, law=law)), 0.5, save=3, integrator=steps, verify=False
+    )
+    on = jc.simulate(
+        run.mechanism, 1e-3, save=11, state=run.state(), integrator=steps, verify=False
+    )
+    torque, before = (jnp.abs(each.coupling("g").torque) for each in (on, run))
+    np.testing.assert_allclose(torque, before[-1], rtol=1e-3)
+
+
 def test_the_slope_of_the_depth_is_depth_over_coefficient():
     def depth(share):
         rig, steps = one_way(worn_play(share=share, law=jc.flank.Stop())), jc.integrator.FixedStep()

@@ -51,7 +51,7 @@ REFUSALS = "restitution|wears|no form in permanent contact"
 def refused(rig, integrator):
     try:
         check_run(rig, integrator)
-        integrator.formulation.seen(rig)
+        integrator.formulation.modelled(rig)
     except ValueError as sentence:
         assert re.search(REFUSALS, str(sentence)), sentence
         return True
@@ -77,7 +77,7 @@ def test_a_kernel_can_be_written(joint, rung, monkeypatch):
         raise Unsupported("a test")
 
     monkeypatch.setattr(kernel, "build", write)
-    mechanism = integrator.formulation.seen(rig)
+    mechanism = integrator.formulation.modelled(rig)
 
     def states():
         start = assemble_arrays(mechanism)

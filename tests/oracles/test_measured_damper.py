@@ -12,7 +12,7 @@ import pytest
 import jaxclear as jc
 from jaxclear.studies.identification import models
 from jaxclear.studies.identification.by_signal import by_signal
-from jaxclear.studies.identification.several_records import leave_one_out
+from jaxclear.studies.identification.several_records import next_record
 from tests.rigs.measured_damper import RECORDS, damper, energy, marched, mechanism, records
 
 MEASURED = records()
@@ -60,10 +60,12 @@ def test_the_gap_is_told_only_with_an_assumption_on_the_spring(two_models):
     linear, rising = (two_models.fits[name][0].unknowns["gap"] for name in ("linear", "rising"))
     assert two_models.choice.models == ("rising", "linear")
     assert linear.low > 1.9 and linear.high < 2.7
-    # A spring that stiffens explains the record with any gap from none on.
-    assert rising.low == 0.0 and 1.7 < rising.high < 2.4
+    # A spring that stiffens explains the record with any gap from none on. The ridge of gap, give
+    # and exponent is bent: a normal distribution about its optimum reaches further than the 2.1
+    # to which weighted draws came.
+    assert rising.low == 0.0 and 1.7 < rising.high < 2.8
     both = two_models.unknowns["gap"]
-    assert both.low == 0.0 and both.high == pytest.approx(linear.high)
+    assert both.low == 0.0 and both.high == pytest.approx(max(linear.high, rising.high))
     # Not below 0.8 of what the prior knows: partly told at best, never to the last digit.
     assert both.width > 0.5 and linear.width < 0.2
 
@@ -74,7 +76,7 @@ def test_lost_motion_at_load_is_told_by_both(two_models):
     for told in own:
         assert told.value == pytest.approx(4.07, abs=0.06)
         assert told.high - told.low < 0.5
-    assert two_models.answers["lost motion"].high < 4.3
+    assert two_models.answers["lost motion"].high < 4.5
 
 
 @pytest.mark.slow
@@ -84,8 +86,9 @@ def test_the_next_record_lies_where_four_others_say():
     fits = found.fits["linear"]
     for name in ("plateau", "lost motion", "stiffness"):
         told = [{**own.unknowns, **own.answers}[name] for own in fits]
-        for value, others in leave_one_out(told):
-            assert others.low < value < others.high
+        for i, estimate in enumerate(told):
+            others = next_record(told[:i] + told[i + 1 :])
+            assert others.low < estimate.value < others.high
     # What one record tells of itself leaves the plateaus of others out.
     first = fits[0].unknowns["plateau"]
     assert sum(not first.low < own.unknowns["plateau"].value < first.high for own in fits) >= 2

@@ -65,7 +65,7 @@ READ = {
     "switchings": lambda run: run.switchings("mesh"),
     "reaction": lambda run: [run.reaction("G").force, run.reaction("A").torque],
     "transmitted": lambda run: run.transmitted("mesh"),
-    "coupling": lambda run: [run.coupling("mesh").twist, run.coupling("mesh").lost],
+    "coupling": lambda run: [run.coupling("mesh").twist, run.coupling("mesh").loss],
     "coordinates": lambda run: [run.coordinate("O"), run.speed("G")],
     "drift": lambda run: run.drift(),
     "energies": lambda run: run.energy_balance().kinetic,

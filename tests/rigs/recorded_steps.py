@@ -139,7 +139,7 @@ def stored_states(name: str, rung: str) -> tuple[np.ndarray, np.ndarray]:
 def stepping(name: str, rung: str, discrete: bool = True):
     """The state after three steps, as a function of (time [s], state)."""
     integrator, step = INTEGRATORS[rung]
-    mechanism = integrator.formulation.seen(MECHANISMS[name][0]())
+    mechanism = integrator.formulation.modelled(MECHANISMS[name][0]())
     model = model_of(mechanism, integrator.formulation, balance=True)
     model = model.seeing({})
     object.__setattr__(model, "discrete", discrete)

@@ -33,7 +33,7 @@ QUICK = ("adaptive",)
 def told(rung, saves=jc.Saving(7), scene=jc.scenes.slider_crank):
     """States at the saving times, figures and events of a run, and its kernels."""
     integrator, built, build = RUNGS[rung], [], kernel.build
-    rig = integrator.formulation.seen(scene())
+    rig = integrator.formulation.modelled(scene())
     times = saving_times(0.02, saves.at)
 
     def whole():
@@ -86,7 +86,7 @@ def test_what_is_saved_twice_as_often_is_saved_the_same():
 @pytest.mark.parametrize("rung", ["fixed", "implicit", "Moreau-Jean", "non-colliding"])
 def test_slopes_through_the_one_kernel_are_those_by_saving_interval(rung, monkeypatch):
     integrator = RUNGS[rung]
-    rig = integrator.formulation.seen(jc.scenes.slider_crank())
+    rig = integrator.formulation.modelled(jc.scenes.slider_crank())
     times = saving_times(0.005, 7)
 
     def states(mass):
@@ -110,7 +110,7 @@ def worn(rung, mass):
     updated six times, which are the saving times."""
     integrator = RUNGS[rung]
     rig = jc.scenes.slider_crank(wear=jc.Wearing(jc.wear.Archard(), updates=6))
-    other = integrator.formulation.seen(eqx.tree_at(lambda m: m.bodies["rod"].mass, rig, mass))
+    other = integrator.formulation.modelled(eqx.tree_at(lambda m: m.bodies["rod"].mass, rig, mass))
     start = assemble_arrays(other)
     times = saving_times(0.01, 7)
     at = other, start.coordinates, start.speeds, times, integrator

@@ -93,16 +93,16 @@ def by(problem, integrator, values):
 def truth(advice):
     """Steps far below those of any candidate."""
     fine = jc.integrator.FixedStep(1e-6)
-    return [by(advice.asked, fine, values) for values in advice.copies.values]
+    return [by(advice.original_problem, fine, values) for values in advice.copies.values]
 
 
 @pytest.mark.parametrize("accuracy", [0.05, 0.01, 1e-3])
 def test_the_recommended_setting_keeps_its_word(advice, truth, accuracy):
     found = advice.at(accuracy)
-    assert found.met and f"keeps {100 * accuracy:g} %" in found.sentence()
+    assert found.is_accurate and f"keeps {100 * accuracy:g} %" in found.sentence()
     assert str(found).startswith(found.sentence()) and "f64[" not in str(found)
     for values, exact in zip(advice.copies.values, truth, strict=True):
-        answer = by(advice.asked, found.recommended, values)
+        answer = by(advice.original_problem, found.recommended, values)
         for name, value in answer.items():
             assert abs(value / exact[name] - 1) < accuracy
 
@@ -142,7 +142,7 @@ def test_it_is_what_the_problem_itself_chooses():
 
 def test_the_problem_comes_back_with_the_recommended_integrator(advice):
     assert as_typed(advice.problem.integrator) == as_typed(advice.recommended)
-    assert advice.problem.names == advice.asked.names
+    assert advice.problem.names == advice.original_problem.names
     assert "The problem's own FixedStep(step=2e-05)" in advice.sentence()
     names = {"Adaptive", "ImplicitStep", "FixedStep rk4", "FixedStep semi_implicit"}
     names |= {"FixedStep contact_steps", "MoreauJean", "NonColliding"}
@@ -174,7 +174,7 @@ def test_chaos_is_said():
     question = jc.Problem(rattling(), response, CLEARANCE, duration=0.8, save=81)
     for copies in (4, 1):
         found = jc.advise(question, 0.01, pilot=jc.PilotSettings(copies=copies))
-        assert not found.met and found.chosen.worst[1] > 0.01
+        assert not found.is_accurate and found.chosen.worst[1] > 0.01
         assert "Nothing tried keeps 1 %" in found.sentence()
         assert "as chaotic ones do, ask for means over a sample" in found.sentence()
         assert found.warnings() and found.warnings()[0] in found.sentence()
@@ -195,7 +195,7 @@ def test_nothing_is_compiled_for_a_copy_or_a_setting():
 def test_copies_that_cannot_be_are_left_out():
     found = jc.advise(swings(variables=MASS), 0.01)
     assert 1 < len(found.copies.values) < 8 and np.all(found.copies.values > 0)
-    assert found.met and f"{len(found.copies.values)} runs" in found.sentence()
+    assert found.is_accurate and f"{len(found.copies.values)} runs" in found.sentence()
 
 
 def test_the_worst_of_a_few_copies_leaves_something_to_those_not_seen():

@@ -368,3 +368,9 @@ def test_a_scene_file_states_its_drawing(tmp_path):
     assert 0 < found < 0.5 * 24e-6
     with pytest.raises(ValueError, match="nothing drives"):
         jc.Scene(spatial(), duration=0.02, drawing={}).at_rest()
+
+
+def test_a_fit_prints_its_limits_and_clearance():
+    """20 H7/g6 of ISO 286: hole 0 to +21, shaft -20 to -7 um."""
+    text = str(jc.fit("20 H7/g6"))
+    assert "hole +0 to +21 um, shaft -20 to -7 um" in text and "7 to 41 um" in text

@@ -36,7 +36,7 @@ def test_two_records_tell_the_cycle_of_failure():
     # To first order: errors of the last gap and of the growth that led to it.
     first = 1.645 * ERROR / 5e-11 * np.hypot(4.0, 3.0)
     assert 0.5 * (high - low) == pytest.approx(first, rel=0.15)
-    assert life.left[0] == pytest.approx(3e6, rel=0.03)
+    assert life.remaining[0] == pytest.approx(3e6, rel=0.03)
     assert "are left after the last of 2 records" in life.sentence() and not life.warnings
 
 

@@ -34,7 +34,11 @@ def loosely_closed():
     """One whose loop drifts open: by default such steps close it anew."""
     ideal = jc.scenes.slider_crank("ideal", crank_speed=60.0)
     return jc.Mechanism(
-        ideal.bodies, ideal.connections, ideal.loads, **ideal.given, stabilisation=jc.Baumgarte()
+        ideal.bodies,
+        ideal.connections,
+        ideal.loads,
+        **ideal.start_arguments,
+        stabilisation=jc.Baumgarte(),
     )
 
 

@@ -378,7 +378,8 @@ ONE = Cells((slice(0, 1),), np.ones(1))
 
 def alone(evaluate):
     """A machine of one cell, worn in proportion to its losses."""
-    carry = lambda row, losses, parts: row + sum(n * rate.wear for n, rate in losses)
+    one = lambda job: job.row + sum(n * rate.wear for n, rate in job.losses)
+    carry = lambda jobs: [one(job) for job in jobs]
     machine = Machine(evaluate, carry, ONE)
     return machine, Node.first(np.zeros(2), evaluate(np.zeros(2)), ONE)
 

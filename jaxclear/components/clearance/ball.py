@@ -100,7 +100,7 @@ class BallSocket(AbstractClearance):
 
     def with_diameters(self, outer, inner):
         sizes = 0.5 * outer, 0.5 * (outer - inner)
-        return eqx.tree_at(lambda own: (own.socket_radius, own.clearance), self, sizes)
+        return eqx.tree_at(lambda joint: (joint.socket_radius, joint.clearance), self, sizes)
 
     def seat(self, force, torque):
         return sp.scale(-self.clearance, direction(force, 3)), (0, 0)
@@ -136,7 +136,7 @@ class PermanentSpherical(AbstractRubbingBall):
         return self.gap.ball_radius
 
     @property
-    def goes_round(self):
+    def has_moving_centre(self):
         return True
 
     @property

@@ -28,6 +28,7 @@ from jaxclear.components.joint import AbstractJoint
 from jaxclear.components.joint.base import AbstractLikeIdeal, AbstractRubbingJoint, CarryingEnd
 from jaxclear.components.wear_map import AbstractWearMap, Wearing
 from jaxclear.ground import sparse as sp
+from jaxclear.ground.argument_errors import Renamed
 from jaxclear.ground.numerics import safe_divide
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, concrete
 from jaxclear.laws.contact.base import indentation_under
@@ -105,6 +106,7 @@ class AbstractClearance(AbstractQuantified):
 
     ideal_rows: eqx.AbstractClassVar[tuple[str, ...]]
     surfaces: ClassVar[tuple[str, ...]] = ()
+    left = Renamed("overhang")
 
     @property
     @abstractmethod
@@ -120,7 +122,7 @@ class AbstractClearance(AbstractQuantified):
         count = len(self.contact_laws())
         return ("contact",) if count == 1 else tuple(f"contact {i}" for i in range(count))
 
-    def left(self, along: Any) -> Any:
+    def overhang(self, along: Any) -> Any:
         """How far the inner part has left the outer one along the joint's axis.
 
         Args:

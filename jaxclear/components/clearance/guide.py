@@ -169,7 +169,7 @@ class SliderGuide(AbstractClearance):
 
     def with_diameters(self, outer, inner):
         sizes = inner, 0.5 * (outer - inner)
-        return eqx.tree_at(lambda own: (own.width, own.clearance), self, sizes)
+        return eqx.tree_at(lambda joint: (joint.width, joint.clearance), self, sizes)
 
     def seat(self, force, torque):
         first, last = self.permanent_form().carrying_ends(force, torque, 0.0)

@@ -377,7 +377,7 @@ class JournalBearing(AbstractJournalBearing):
         sizes = lambda joint: (joint.flange.clearance, joint.flange.radius)
         return eqx.tree_at(sizes, joint, (gap, inner * self.flange.radius))
 
-    def left(self, along):
+    def overhang(self, along):
         if self.flange is not None:
             return None
         journal = REACH * self.length if self.journal_length is None else self.journal_length

@@ -185,7 +185,7 @@ class AbstractJournalBearing(AbstractClearance):
 
     def with_diameters(self, outer, inner):
         sizes = 0.5 * outer, 0.5 * (outer - inner)
-        return eqx.tree_at(lambda own: (own.bearing_radius, own.clearance), self, sizes)
+        return eqx.tree_at(lambda joint: (joint.bearing_radius, joint.clearance), self, sizes)
 
     def grown_along(self, length: Scalar, outer: Scalar, inner: Scalar) -> "AbstractJournalBearing":
         """The joint with larger sizes along its axis; nothing else changes unless overridden.
@@ -283,7 +283,7 @@ class PermanentRevolute(AbstractPermanentJoint):
         return self.gap.bearing_radius - self.gap.clearance
 
     @property
-    def goes_round(self):
+    def has_moving_centre(self):
         return True
 
     def friction_wrench(self, friction):
@@ -292,17 +292,17 @@ class PermanentRevolute(AbstractPermanentJoint):
     def carrying_ends(self, force, torque, ratio):
         ends = self.gap.end_forces(force, torque)
         size = (self.gap.bearing_radius, self.gap.clearance)
-        ends_found = tuple(
+        carrying = tuple(
             pressed_end(k, f, height, ratio, *size) for k, (f, height) in enumerate(ends)
         )
         if self.gap.roundness is not None:
-            leans = [direction(end.offset, 2) for end in ends_found]
-            pairs = zip(ends_found, leans, strict=True)
-            ends_found = tuple(end._replace(offset=self.gap.leaned(lean)) for end, lean in pairs)
-        along = self.gap.axial_seat(force[2], _slope(ends_found))
+            leans = [direction(end.offset, 2) for end in carrying]
+            pairs = zip(carrying, leans, strict=True)
+            carrying = tuple(end._replace(offset=self.gap.leaned(lean)) for end, lean in pairs)
+        along = self.gap.axial_seat(force[2], _slope(carrying))
         if sp.is_zero(along):
-            return ends_found
-        return tuple(end._replace(offset=(*end.offset[:2], along)) for end in ends_found)
+            return carrying
+        return tuple(end._replace(offset=(*end.offset[:2], along)) for end in carrying)
 
     def friction_ratio(self, mu):
         return mu / safe_sqrt(1 + mu * mu)

@@ -22,6 +22,7 @@ import jax
 
 from jaxclear.components.clearance.backlash import Backlash
 from jaxclear.components.coupling.losses import Efficiency, Thread
+from jaxclear.ground.argument_errors import Renamed
 from jaxclear.ground.pose import Pose
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, as_number, quantity
 
@@ -220,6 +221,10 @@ class AbstractBodyCoupling(AbstractCoupling):
     at the parent's where the child is the ground. Where all joints are at home the parts mesh.
     """
 
+    seen_radius = Renamed("play_radius")
+    seen_at = Renamed("play_joint")
+    seen_as_length = Renamed("has_linear_play")
+
     def moves(self) -> tuple[tuple[str, ...], ...]:
         """Units of what each joint must leave free that is not fixed: "rad" a turn, "m" a slide;
         joints may be any unless overridden."""
@@ -302,7 +307,7 @@ class AbstractBodyCoupling(AbstractCoupling):
         """What that sum is; None for 0."""
         return None
 
-    def seen_radius(self, drawn: Pose) -> Any:
+    def play_radius(self, drawn: Pose) -> Any:
         """What a residual is divided by to be in the unit of play: along the first coordinate
         unless overridden.
 
@@ -314,11 +319,11 @@ class AbstractBodyCoupling(AbstractCoupling):
         """
         return self.radii(drawn)[0]
 
-    def seen_at(self) -> str:
+    def play_joint(self) -> str:
         """The joint along which play is seen: the first unless overridden."""
         return self.joints()[0]
 
     @property
-    def seen_as_length(self) -> bool:
+    def has_linear_play(self) -> bool:
         """Whether play is a length [m]; an angle [rad] unless overridden."""
         return False

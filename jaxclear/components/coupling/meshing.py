@@ -132,10 +132,10 @@ class Gear(AbstractBodyCoupling):
     def terms(self):
         return CoordinateTerm(self.b, 1), CoordinateTerm(self.a, -1 / self.ratio)
 
-    def seen_radius(self, drawn):
+    def play_radius(self, drawn):
         return self.radii(drawn)[1]
 
-    def seen_at(self):
+    def play_joint(self):
         return self.joints()[1]
 
     def check(self, drawn):
@@ -388,11 +388,11 @@ class Screw(AbstractBodyCoupling):
     def rest(self, pose, drawn):
         return pose.translation[2]
 
-    def seen_radius(self, drawn):
+    def play_radius(self, drawn):
         return 1
 
     @property
-    def seen_as_length(self):
+    def has_linear_play(self):
         return True
 
     @property

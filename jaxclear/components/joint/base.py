@@ -25,6 +25,7 @@ import jax.numpy as jnp
 
 from jaxclear.components.drive import AbstractDrive
 from jaxclear.ground import sparse as sp
+from jaxclear.ground.argument_errors import Renamed
 from jaxclear.ground.numerics import safe_divide, safe_sqrt
 from jaxclear.ground.pose import Pose, Twist
 from jaxclear.ground.quantity import AbstractQuantified
@@ -47,6 +48,7 @@ class AbstractJoint(AbstractQuantified):
     units: eqx.AbstractClassVar[tuple[str, ...]]
     rows: ClassVar[tuple[str, ...] | None] = None
     reversal: eqx.AbstractClassVar[sp.Mat]
+    told = Renamed("start_mask")
 
     @abstractmethod
     def motion(self, q: tuple) -> Pose:
@@ -171,7 +173,7 @@ class AbstractJoint(AbstractQuantified):
                 them.
         """
 
-    def told(self, values: tuple) -> tuple[bool, ...]:
+    def start_mask(self, values: tuple) -> tuple[bool, ...]:
         """For each speed whether the coordinates that it changes follow from those given for a
         start; all do unless overridden.
 
@@ -309,6 +311,8 @@ class AbstractRubbingJoint(AbstractJoint):
     """An ideal joint whose parts touch all the time and rub: one of one coordinate, or a ball
     (`AbstractRubbingBall`), whose friction and sliding velocity have three components."""
 
+    goes_round = Renamed("has_moving_centre")
+
     @property
     def components(self) -> int:
         """How many components friction has."""
@@ -406,7 +410,7 @@ class AbstractRubbingJoint(AbstractJoint):
         """
 
     @property
-    def goes_round(self) -> bool:
+    def has_moving_centre(self) -> bool:
         """Whether the centre of the inner part goes round in a gap with what it carries."""
         return False
 

@@ -179,7 +179,7 @@ class Free(AbstractGroupJoint):
             return (*values, *NO_TURN)
         return complete(self, _with_rotation(values))
 
-    def told(self, values):
+    def start_mask(self, values):
         return (True,) * 3 + (len(values) != 3,) * 3
 
 

@@ -14,7 +14,7 @@ import numpy as np
 import scipy
 from jaxtyping import Array, Float, Int
 
-from jaxclear.ground.argument_errors import nothing_else
+from jaxclear.ground.argument_errors import Renamed, nothing_else
 from jaxclear.ground.arguments import expect
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity, vector
 
@@ -30,6 +30,8 @@ ROUNDING = 1e-9
 class AbstractCost(AbstractQuantified):
     """Cost of a dimension as a function of its tolerance."""
 
+    known = Renamed("tolerance_range")
+
     @abstractmethod
     def __call__(self, tolerance: Scalar) -> Scalar:
         """Cost of a tolerance.
@@ -41,7 +43,7 @@ class AbstractCost(AbstractQuantified):
             The cost.
         """
 
-    def known(self) -> tuple[float, float]:
+    def tolerance_range(self) -> tuple[float, float]:
         """Smallest and largest tolerance whose cost is known."""
         return 0.0, float("inf")
 
@@ -101,7 +103,7 @@ class Table(AbstractCost):
             )
         self.coefficients = jnp.asarray(scipy.interpolate.PchipInterpolator(wide, dear).c)
 
-    def known(self):
+    def tolerance_range(self):
         return float(self.tolerances[0]), float(self.tolerances[-1])
 
     def __call__(self, tolerance):
@@ -134,8 +136,8 @@ class Process(AbstractCost):
                 f"{float(self.coarsest):g}; coarsest must be the larger."
             )
 
-    def known(self):
-        low, high = self.cost.known()
+    def tolerance_range(self):
+        low, high = self.cost.tolerance_range()
         return max(low, float(self.finest)), min(high, float(self.coarsest))
 
     def __call__(self, tolerance):
@@ -171,10 +173,10 @@ class Processes(AbstractCost):
         for name, cost in processes.items():
             expect(cost, AbstractCost, f'process "{name}"', "one of jaxclear.cost, such as Process")
         self.names, self.costs = tuple(processes), tuple(processes.values())
-        self.ranges = jnp.asarray([cost.known() for cost in self.costs])
+        self.ranges = jnp.asarray([cost.tolerance_range() for cost in self.costs])
         self.fixed_process = jnp.asarray(-1)
 
-    def known(self):
+    def tolerance_range(self):
         return float(self.ranges[:, 0].min()), float("inf")
 
     def __call__(self, tolerance):

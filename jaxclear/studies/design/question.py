@@ -287,7 +287,7 @@ def checked_cost(cost: Any, freedom: Freedom) -> Cost:
         check_name("variable", name, freedom.names, " in this problem")
         expect(term, AbstractCost, f'cost of "{name}"', "one of jaxclear.cost, such as Reciprocal")
         choice = free.get(freedom.names.index(name))
-        low, high = term.known()
+        low, high = term.tolerance_range()
         if choice is not None and not low <= choice.low < choice.high <= high:
             raise ValueError(
                 f'cost of "{name}" is known for tolerances from {low:g} to {high:g}, and its '

@@ -1,5 +1,5 @@
 """What a record is compared with: the signals that a problem gives for values of its unknowns, all
-in one row, and the numbers it answers besides.
+in one row.
 """
 
 import itertools
@@ -7,14 +7,12 @@ from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from jaxclear.ground.wording import listed
 from jaxclear.studies.problem import Problem
-from jaxclear.studies.store.batch import evaluate_all
 
 
 class Record(NamedTuple):
@@ -41,57 +39,26 @@ class Record(NamedTuple):
         return tuple(slice(a, b) for a, b in itertools.pairwise(ends))
 
 
-class ModelOutput(NamedTuple):
-    """What one set of values gives: signals (n,) and responses, by name."""
-
-    signals: Mapping[str, Array]
-    responses: Mapping[str, Array]
-
-
 class Forward(eqx.Module):
-    """A problem as a function from its unknowns to the signals of a record: `shown(problem,
-    values)`; `names` of the signals, in the order of the record. Pure."""
+    """A model as a function from its unknowns to the signals of a record, `simulate(problem,
+    values)` by name; `names` of the signals, in the order of the record. Pure. `asked` is the
+    problem whose responses follow, `problem` the one that is run to see the signals."""
 
     problem: Problem
-    simulate: Callable[[Any, Array], ModelOutput]
+    simulate: Callable[[Any, Array], Mapping[str, Array]]
     names: tuple[str, ...] = eqx.field(static=True)
+    asked: Problem
 
     def row(self, values: Float[Array, " variables"]) -> Float[Array, " n"]:
         """The signals in one row."""
-        return self.in_row(self.simulate(self.problem, values))
-
-    def in_row(self, output: ModelOutput) -> Float[Array, " n"]:
-        """The signals of what was shown in one row."""
-        return jnp.concatenate([output.signals[name] for name in self.names])
-
-
-class _Rows(eqx.Module):
-    """What a chunk of samples gives, as a function of a problem."""
-
-    forward: Forward
-
-    def __call__(self, problem: Problem, values: Array) -> tuple[Array, dict[str, Array]]:
-        """Signals (samples, n) and responses (samples,) by name."""
-
-        def one(row: Array) -> tuple[Array, dict[str, Array]]:
-            output = self.forward.simulate(problem, row)
-            return self.forward.in_row(output), dict(output.responses)
-
-        return jax.vmap(one)(values)
-
-
-def answered(forward: Forward, values: np.ndarray) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """What a problem gives for many sets of values (samples, variables), in chunks that fit memory,
-    on all cores: the signals (samples, n), and the responses (samples,) by name."""
-    results: Any = evaluate_all(forward.problem, values, function=_Rows(forward))
-    rows, responses = results
-    return np.asarray(rows), {name: np.asarray(values) for name, values in responses.items()}
+        signals = self.simulate(self.problem, values)
+        return jnp.concatenate([signals[name] for name in self.names])
 
 
 def check_signals(forward: Forward, record: Record) -> None:
     """Raises `ValueError` with a sentence where a signal is not as long as its measurement."""
     nominal = forward.problem.nominal()
-    shapes = eqx.filter_eval_shape(forward.simulate, forward.problem, nominal).signals
+    shapes = eqx.filter_eval_shape(forward.simulate, forward.problem, nominal)
     for name, measured in record.signals.items():
         if name not in shapes:
             names = listed(shapes) or "none"

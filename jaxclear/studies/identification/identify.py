@@ -97,13 +97,13 @@ def identify(
             models of the machine, whose intervals cover all that the record does not contradict.
         data: a `Measurement`, or a sequence; intervals are then those of a next record, by
             Student's t of their differences.
-        runs: number of runs of the sample (with "signal" of each round), >= 64; 256 (default)
-            suffice for one loose joint, 512 for three.
+        runs: number of runs of the sample (with "signal" that tell what follows of responses), >=
+            64; 256 (default) suffice for one loose joint, 512 for three.
         how: name of the method: "statistics" (default), a regression of each unknown on statistics
             of the signals, with 95 % intervals from runs that it did not see; "signal", least
-            squares by Levenberg and Marquardt from several starts, with a posterior by weighted
-            draws. Where a sensor's noise is 0 the residual takes its place; a known noise must
-            explain the residual. Correlated residuals count as fewer samples.
+            squares by Levenberg and Marquardt from several starts, with Laplace's intervals in the
+            unknowns' normal scores. Where a sensor's noise is 0 the residual takes its place; a
+            known noise must explain the residual. Correlated residuals count as fewer samples.
         statistics: functions of a `jaxclear.signal.Signal` that return arrays (signals, numbers),
             by name; None (default) for `signal.usual_statistics`.
         laws: classes of dissipation factors and friction laws, one of which acts in each run; None

@@ -65,7 +65,8 @@ def _solved(forward: Forward, starts: Array, measured: Array, scale: Array, mask
         solution = optimistix.least_squares(
             residual, solver, start, options={"jac": "fwd"}, max_steps=MOST_STEPS, throw=False
         )
-        return solution.value, solution.result == optimistix.RESULTS.successful
+        ended = solution.result == optimistix.RESULTS.successful
+        return solution.value, ended, solution.stats["num_steps"]
 
     return jax.vmap(one)(starts)
 
@@ -95,15 +96,18 @@ def optima(
     starts: Float[np.ndarray, "starts variables"],
     scale: Float[np.ndarray, " n"],
     windows: int = 1,
-) -> list[Optimum]:
-    """Where the searches end that are finite, the nearest to the record first, each place once.
+) -> tuple[list[Optimum], int]:
+    """Where the searches end that are finite, the nearest to the record first, each place once, and
+    how many runs with derivatives they took.
     `scale`: standard deviation of each sample of the record, in its unit; `windows`: how often the
     window doubles until it holds the whole record."""
     measured, normals = record.row, np.asarray(starts)
-    ended = np.zeros(len(normals), bool)
+    ended, runs = np.zeros(len(normals), bool), len(normals)
     for window in range(windows):
         mask = _window(record, 0.5 ** (windows - 1 - window))
-        solutions, ended = _solved(forward, *map(jnp.asarray, (normals, measured, scale, mask)))
+        arguments = map(jnp.asarray, (normals, measured, scale, mask))
+        solutions, ended, steps = _solved(forward, *arguments)
+        runs += int(np.sum(steps))
         normals = np.where(np.isfinite(solutions), solutions, normals)
     residuals, slopes = map(
         np.asarray, _residuals_and_slopes(forward, jnp.asarray(normals), jnp.asarray(measured))
@@ -121,7 +125,7 @@ def optima(
         )
         if not any(map(is_same, distinct)):
             distinct.append(fit)
-    return distinct
+    return distinct, runs
 
 
 def _optimum(normal, residual, slopes, ended, scale) -> Optimum:

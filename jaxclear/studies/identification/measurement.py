@@ -130,7 +130,7 @@ class Measurement(AbstractShown):
     @property
     def compared(self) -> "Measurement":
         """The record without the signals that are inputs of the machine."""
-        names = [n for n, s in self.sensors.items() if isinstance(s, Series) and s.given]
+        names = [n for n, s in self.sensors.items() if isinstance(s, Series) and s.is_input]
         if not names:
             return self
         signals = {name: values for name, values in self.signals.items() if name not in names}

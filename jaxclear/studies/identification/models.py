@@ -15,7 +15,7 @@ from jaxtyping import Array
 from jaxclear.ground.arguments import check_name, expect
 from jaxclear.ground.wording import described, listed
 from jaxclear.studies.function_problem import Dimension, FunctionExperiment
-from jaxclear.studies.identification.forward import Forward, ModelOutput, Record
+from jaxclear.studies.identification.forward import Forward, Record
 from jaxclear.studies.identification.laws import Ensemble
 from jaxclear.studies.identification.measurement import Measurement
 from jaxclear.studies.identification.sample import (
@@ -25,7 +25,6 @@ from jaxclear.studies.identification.sample import (
     window_end,
 )
 from jaxclear.studies.problem import Problem
-from jaxclear.studies.responses import answers
 from jaxclear.studies.run_experiment import RunExperiment
 from jaxclear.studies.sensor import AbstractSensor, Series, filter_signal
 
@@ -130,42 +129,40 @@ def _forward(problem: Problem, record: Measurement) -> Forward:
                 problem.series_names,
                 " in what the function gives",
             )
-        return Forward(problem, _OfFunction(sensors, rate), names)
+        return Forward(problem, _OfFunction(sensors, rate), names, problem)
     check_identifiable(problem, record)
     check_window(problem, record)
     end = window_end(problem, record)
     assert end is not None
     watch = watched(problem, record, Ensemble(problem.mechanism, {}, {}))
-    return Forward(watch, _OfRun(sensors, rate, problem, slice(end - len(record.time), end)), names)
+    shown = _OfRun(sensors, rate, slice(end - len(record.time), end))
+    return Forward(watch, shown, names, problem)
 
 
 class _OfFunction(eqx.Module):
-    """Signals and responses of a function."""
+    """Signals of a function."""
 
     sensors: dict[str, Any]
     rate: Array
 
-    def __call__(self, problem: Problem, values: Array) -> ModelOutput:
+    def __call__(self, problem: Problem, values: Array) -> dict[str, Array]:
         """Those of one set of values."""
         outputs = problem.answers(problem.setting(values))
-        signals = {n: _sensed(sensor, outputs, self.rate) for n, sensor in self.sensors.items()}
-        return ModelOutput(signals, {name: outputs[name] for name in problem.response_names})
+        return {n: _sensed(sensor, outputs, self.rate) for n, sensor in self.sensors.items()}
 
 
 class _OfRun(eqx.Module):
-    """Signals and responses of a run, of which a record saw the samples `window`."""
+    """Signals of a run, of which a record saw the samples `window`."""
 
     sensors: dict[str, AbstractSensor]
     rate: Array
-    problem: Problem
     window: slice = eqx.field(static=True)
 
-    def __call__(self, problem: Problem, values: Array) -> ModelOutput:
+    def __call__(self, problem: Problem, values: Array) -> dict[str, Array]:
         """Those of one set of values; nan where the run did not reach its end."""
         run = problem.started(problem.setting(values))[2]
         last = lambda signal: jnp.where(run.succeeded, signal, jnp.nan)[self.window]
-        signals = {n: last(_sensed(sensor, run, self.rate)) for n, sensor in self.sensors.items()}
-        return ModelOutput(signals, answers(self.problem.response, run))
+        return {n: last(_sensed(sensor, run, self.rate)) for n, sensor in self.sensors.items()}
 
 
 def _sensed(sensor: Any, run: Any, rate: Array) -> Array:

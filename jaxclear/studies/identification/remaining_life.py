@@ -13,7 +13,7 @@ import equinox as eqx
 import numpy as np
 import scipy
 
-from jaxclear.ground.argument_errors import answering
+from jaxclear.ground.argument_errors import Renamed, answering
 from jaxclear.ground.arguments import check_number, expect
 from jaxclear.studies.answer import AbstractAnswer, Column, Stated
 from jaxclear.studies.identification.result import Identified
@@ -41,6 +41,7 @@ class RemainingLife(AbstractAnswer):
     rate: np.ndarray
     failure: np.ndarray
     warnings: tuple[str, ...] = eqx.field(static=True, default=())
+    left = Renamed("remaining")
 
     def band(self, what: np.ndarray) -> tuple[float, float, float]:
         """Median and ends of the band of draws (draws,)."""
@@ -56,7 +57,7 @@ class RemainingLife(AbstractAnswer):
         return self.band(self.failure)
 
     @property
-    def left(self) -> tuple[float, float, float]:
+    def remaining(self) -> tuple[float, float, float]:
         """Cycles left after the last record: median and ends of the band."""
         middle, low, high = self.band(np.maximum(self.failure - self.cycles[-1], 0.0))
         return middle, low, high
@@ -67,7 +68,7 @@ class RemainingLife(AbstractAnswer):
         share = f"{100 * self.level:g} %"
         rate, low, high = words(self.band(self.rate))
         ends, first, last = words(self.failure_band)
-        life = words(self.left)
+        life = words(self.remaining)
         return (
             f"{self.name} grows by {rate} {self.unit} a cycle, {low} to {high} with {share}, and "
             f"reaches {self.limit:.4g} {self.unit} after {ends} cycles, {first} to "
@@ -87,7 +88,7 @@ class RemainingLife(AbstractAnswer):
 
 @answering
 def remaining_life(
-    found: Mapping[float, Identified], name: str, limit: float, *, level: float = 0.9, seed: int = 0
+    fits: Mapping[float, Identified], name: str, limit: float, *, level: float = 0.9, seed: int = 0
 ) -> RemainingLife:
     """The cycle at which an unknown that grows steadily reaches its limit.
 
@@ -95,7 +96,7 @@ def remaining_life(
     that all share cancels in the growth.
 
     Args:
-        found: results of `jaxclear.identify` by the number of cycles that the machine had run, two
+        fits: answers of `jaxclear.identify` by the number of cycles that the machine had run, two
             at least.
         name: name of the unknown, such as "clearance B".
         limit: value at which the machine is worn out, in the unit of the unknown.
@@ -108,21 +109,21 @@ def remaining_life(
     Raises:
         ValueError: if an argument is wrong.
     """
-    expect(found, Mapping, "found of remaining_life", "a dictionary from cycles to answers")
-    if len(found) < 2:
+    expect(fits, Mapping, "fits of remaining_life", "a dictionary from cycles to answers")
+    if len(fits) < 2:
         raise ValueError(
-            f"remaining_life is given {len(found)} records; growth takes two at least, at "
+            f"remaining_life is given {len(fits)} records; growth takes two at least, at "
             "different cycles."
         )
-    for cycles, answers in found.items():
+    for cycles, answers in fits.items():
         check_number("cycles of remaining_life", cycles, at_least=0)
         expect(answers, Identified, "what a record told", "what jaxclear.identify returns")
     check_number("limit of remaining_life", limit)
     check_number("level of remaining_life", level, above=0, below=1)
-    order = sorted(found)
-    rows = [found[cycles][name] for cycles in order]
+    order = sorted(fits)
+    rows = [fits[cycles][name] for cycles in order]
     values = np.array([unknown.estimate for unknown in rows])
-    deviations = np.array([_deviation(found[cycles], name) for cycles in order])
+    deviations = np.array([_deviation(fits[cycles], name) for cycles in order])
     rate, failure, misfit = _lines(np.array(order, float), values, deviations, limit, seed)
     warnings = []
     chi2 = float(scipy.stats.chi2.isf(DOUBTED, max(len(order) - 2, 1)))

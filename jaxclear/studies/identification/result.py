@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import scipy
 
+from jaxclear.ground.argument_errors import Renamed
 from jaxclear.ground.arguments import check_name, check_number
 from jaxclear.studies.answer import DATASET, VARIABLE, AbstractAnswer, Column, Stated
 from jaxclear.studies.distribution import Empirical
@@ -45,7 +46,7 @@ ONE_RECORD = (
 class Unknown(NamedTuple):
     """What is known of one unknown, in its `unit`: its `estimate`, `low` and `high` ends of its
     95 % interval, those of its prior, `width` of the one beside the other [1] before a verdict,
-    the `verdict` in words, and what it is `told_by`."""
+    the `verdict` in words, and the `method` that determined it."""
 
     name: str
     unit: str
@@ -56,7 +57,11 @@ class Unknown(NamedTuple):
     prior_high: float
     width: float
     verdict: str
-    told_by: str
+    method: str
+
+    @property
+    def told_by(self) -> Any:
+        return Renamed("method", "told_by").__get__(self, type(self))
 
     def sentence(self) -> str:
         """The unknown in words."""
@@ -221,7 +226,7 @@ class Identified(AbstractAnswer):
             "prior high": Column(over, read("prior_high"), meaning="upper end of the prior's"),
             "width": Column(over, read("width"), "1", "of the interval beside the prior's"),
             "verdict": Column(over, read("verdict")),
-            "told by": Column(over, read("told_by")),
+            "told by": Column(over, read("method")),
         }
         for i, name in enumerate(self.problem.names):
             unit = self.problem.variable_units[i]

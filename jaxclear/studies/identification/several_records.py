@@ -63,10 +63,3 @@ def interval_of(estimates: Sequence[CredibleInterval]) -> CredibleInterval:
     deviation = max(interval.between, interval.within)
     ends = estimates[0].prior_low, estimates[0].prior_high
     return CredibleInterval(interval.value, interval.low, interval.high, deviation, *ends)
-
-
-def leave_one_out(estimates: Sequence[CredibleInterval]) -> list[tuple[float, NextRecord]]:
-    """For each record (three at least) its value, and what all others say of it: whether the
-    records agree with what is told of the next one."""
-    others = lambda i: [estimate for k, estimate in enumerate(estimates) if k != i]
-    return [(estimate.value, next_record(others(i))) for i, estimate in enumerate(estimates)]

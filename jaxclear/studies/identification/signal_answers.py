@@ -10,7 +10,6 @@ import numpy as np
 from jaxclear.studies.identification.by_signal import BySignal, by_signal
 from jaxclear.studies.identification.measurement import Measurement
 from jaxclear.studies.identification.models import compared
-from jaxclear.studies.identification.posterior import equally_weighted
 from jaxclear.studies.identification.result import (
     IDENTIFIED,
     NOT,
@@ -50,7 +49,7 @@ def identify_by_signals(
     draws: int,
     seed: int,
 ) -> Identified:
-    """What records tell by their signals of each model's unknowns; `draws` a round."""
+    """What records tell by their signals of each model's unknowns; `draws` of what follows."""
     pairs = {
         name: [compared(problem, record) for problem, record in zip(problems, records, strict=True)]
         for name, problems in models.items()
@@ -120,7 +119,7 @@ def _values(problem: Problem, study: BySignal, rng: np.random.Generator) -> np.n
         fitted_names = list(fits[0].unknowns)
         each = DRAWS if model == models[0] else DRAWS // len(models)
         if len(fits) < FEWEST:
-            drawn = fits[0].values[equally_weighted(fits[0].weights, each, rng)]
+            drawn = rng.permutation(fits[0].values)[:each]
         else:
             nexts = [study.between[model][name] for name in fitted_names]
             drawn = next_values(nexts, _correlation(fits), each, rng)
@@ -148,12 +147,7 @@ def next_values(
 
 def _correlation(fits: Sequence[SignalFit]) -> np.ndarray:
     """Mean correlation (unknowns, unknowns) of what records tell of each unknown."""
-    covariances = [np.cov(fit.values.T, aweights=fit.weights) for fit in fits]
-    matrices = []
-    for each in covariances:
-        size = np.sqrt(np.diag(np.atleast_2d(each)))
-        matrices.append(np.atleast_2d(each) / np.outer(size, size))
-    return np.mean(matrices, axis=0)
+    return np.mean([np.atleast_2d(np.corrcoef(fit.values.T)) for fit in fits], axis=0)
 
 
 def _misfits(study: BySignal, first: str) -> list[str]:

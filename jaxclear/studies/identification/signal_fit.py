@@ -1,35 +1,29 @@
 """A record explained by the signal itself: where the unknowns' signals are nearest to it, and what
 the record leaves of their prior.
 
-The posterior is tempered: a residual that is alike over t samples makes every t samples one, so
-that a model which misses a record by more than its noise is not believed to the last digit. With a
-known noise the sum of squares must be what that noise makes; if it is not, no interval is told.
+Intervals are Laplace's: the posterior about each optimum is normal, in the unknowns' normal scores.
+It is tempered: a residual that is alike over t samples makes every t samples one, so that a model
+which misses a record by more than its noise is not believed to the last digit. With a known noise
+the sum of squares must be what that noise makes; if it is not, no interval is told.
 
-Source: likelihoods to a power, Bissiri, Holmes & Walker 2016, J. R. Stat. Soc. B 78, 1103,
-doi:10.1111/rssb.12158; the time scale of correlated samples, Thiébaux & Zwiers 1984, J. Clim. Appl.
-Meteorol. 23, 800; where to end its sum, Geyer 1992, Stat. Sci. 7, 473, doi:10.1214/ss/1177011137.
+Source: normal about the optimum, Tierney & Kadane 1986, J. Am. Stat. Assoc. 81, 82,
+doi:10.1080/01621459.1986.10478240; likelihoods to a power, Bissiri, Holmes & Walker 2016, J. R.
+Stat. Soc. B 78, 1103, doi:10.1111/rssb.12158; the time scale of correlated samples, Thiébaux &
+Zwiers 1984, J. Clim. Appl. Meteorol. 23, 800; where to end its sum, Geyer 1992, Stat. Sci. 7, 473,
+doi:10.1214/ss/1177011137.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 import scipy
 from jax.scipy.special import ndtr
 
-from jaxclear.studies.identification.forward import (
-    Forward,
-    Record,
-    answered,
-    check_signals,
-)
+from jaxclear.studies.identification.forward import Forward, Record, check_signals
 from jaxclear.studies.identification.least_squares import Optimum, optima, starts_of
-from jaxclear.studies.identification.posterior import (
-    LEAST,
-    Draws,
-    importance_sampled,
-    shortest_interval,
-    weighted_quantile,
-)
+from jaxclear.studies.infinite_responses import successes
+from jaxclear.studies.store.batch import evaluate_all
 
 # A noise is known to within this share of it: its power, and what is left of a record, to twice.
 NOISE_TOLERANCE = 0.2
@@ -40,8 +34,13 @@ REFUSED = 1e-3
 LEAST_MISFIT, MOST_MISFIT = 1e-6, 1.1
 # Shares below and above which half of the rest of 95 % lies.
 ENDS = (0.025, 0.975)
-# Places that the sampling of the posterior begins about.
-MOST_CENTRES = 3
+# Optima that intervals hold, and draws that tell these.
+MOST_CENTRES, DRAWS = 3, 4096
+# An end of the prior whose density is above this share of the largest is not excluded: twice the
+# logarithm of their ratio is what chi-square with one degree of freedom exceeds in 5 %.
+AT_END = math.exp(-0.5 * 1.959964**2)
+# Parts of an interval in which densities are compared.
+PARTS = 10
 
 
 class Misfit(NamedTuple):
@@ -84,17 +83,13 @@ class CredibleInterval(NamedTuple):
 
 class SignalFit(NamedTuple):
     """What one record tells by one model. `best` (variables,): the nearest values; `misfits` by
-    signal; `values` (draws, variables) and `responses` (draws,) by name follow the posterior with
-    `weights` [1]; `unknowns` and `answers`, their intervals by name; `together`: correlations
-    [1] of the unknowns' normal scores, by pair; `refusal`: why there are no intervals, "" where
-    there are."""
+    signal; `values` (draws, variables) follow the posterior; `unknowns` and `answers`, their
+    intervals by name; `together`: correlations [1] of the unknowns' normal scores, by pair; `runs`
+    that it took; `refusal`: why there are no intervals, "" where there are."""
 
     best: np.ndarray
-    row: np.ndarray
     misfits: dict[str, Misfit]
     values: np.ndarray
-    weights: np.ndarray
-    responses: dict[str, np.ndarray]
     unknowns: dict[str, CredibleInterval]
     answers: dict[str, CredibleInterval]
     together: dict[tuple[str, str], float]
@@ -114,29 +109,28 @@ def fit_signal(
     """The posterior of a problem's unknowns given a record of its signals.
 
     `starts`: places that searches begin at, the nominal values among them; `windows`: how often
-    each search's window doubles until it holds the record; `draws`: runs of a round of the
-    posterior's sampling. Where no search ends at an optimum, where a known noise does not explain
-    what is left, or where the draws are too few, `refusal` says so in a sentence, and there are no
-    intervals. Raises `ValueError` where signals and problem do not fit together."""
+    each search's window doubles until it holds the record; `draws`: runs that say what follows of
+    the responses. Where no search ends at an optimum, or where a known noise does not explain what
+    is left, `refusal` says so in a sentence, and there are no intervals. Raises `ValueError` where
+    signals and problem do not fit together."""
     check_signals(forward, record)
     begin = starts_of(starts, len(forward.problem.names), seed)
     scale = _first_scale(record)
-    candidates = optima(forward, record, begin, scale, windows)
+    candidates, runs = optima(forward, record, begin, scale, windows)
     if not candidates:
-        return _refused(forward, record, None, _NOT_FINITE)
+        return _refused(forward, record, None, runs, _NOT_FINITE)
     # What the nearest leaves tells how much each sample is worth; then once more from there.
-    misfits = _misfits(record, candidates[0])
-    scale = _scale(record, misfits)
+    scale = _scale(record, _misfits(record, candidates[0]))
     # As many rows as before run the same program.
     again = np.resize([optimum.normal for optimum in candidates[:MOST_CENTRES]], begin.shape)
-    candidates = optima(forward, record, again, scale) or candidates[:MOST_CENTRES]
+    repeated, more = optima(forward, record, again, scale)
+    candidates, runs = repeated or candidates[:MOST_CENTRES], runs + more
     best = candidates[0]
     misfits = _misfits(record, best)
     refusal = _refusal(best, misfits)
     if refusal:
-        return _refused(forward, record, best, refusal)
-    sampled = _sampled(forward, record, candidates, misfits, draws, seed)
-    return _make_fit(forward, record, best, misfits, sampled)
+        return _refused(forward, record, best, runs, refusal)
+    return _make_fit(forward, record, candidates, misfits, runs, draws, seed)
 
 
 def correlation_time(residual: np.ndarray) -> float:
@@ -228,118 +222,99 @@ def _refusal(best: Optimum, misfits: dict[str, Misfit]) -> str:
     return ""
 
 
-def _refused(forward: Forward, record: Record, best: Optimum | None, why: str) -> SignalFit:
+def _refused(
+    forward: Forward, record: Record, best: Optimum | None, runs: int, why: str
+) -> SignalFit:
     names = forward.problem.names
-    if best is None:
-        values, row, misfits = np.full(len(names), np.nan), record.row * np.nan, {}
-    else:
+    values, misfits = np.full(len(names), np.nan), dict[str, Misfit]()
+    if best is not None:
         values = np.asarray(forward.problem.inputs.values(best.normal))
-        row, misfits = record.row + best.residual, _misfits(record, best)
-    none = np.zeros((0, len(names)))
-    return SignalFit(values, row, misfits, none, np.zeros(0), {}, {}, {}, {}, 0, why)
+        misfits = _misfits(record, best)
+    return SignalFit(values, misfits, np.zeros((0, len(names))), {}, {}, {}, runs, why)
 
 
-class _Sample(NamedTuple):
-    draws: Draws
-    values: np.ndarray
-    responses: dict[str, np.ndarray]
-    runs: int
+def _laplace(
+    optima: list[Optimum], record: Record, misfits: dict[str, Misfit], rng: np.random.Generator
+) -> np.ndarray:
+    """Normal numbers (DRAWS, variables) of the posterior: normal about each optimum, by its
+    curvature, each as often as its density and its size make it likely. Of a noise that is not
+    known, by Student's t of as many samples as the records are worth."""
+    scale = _scale(record, misfits)
+    matrices = [np.linalg.inv(optimum.information(scale)) for optimum in optima]
+    sizes = [0.5 * np.linalg.slogdet(matrix)[1] for matrix in matrices]
+    likely = scipy.special.softmax(sizes - np.array([optimum.cost for optimum in optima]))
+    variables = len(optima[0].normal)
+    spread = np.ones((DRAWS, 1))
+    if any(noise is None for noise in record.noise.values()):
+        samples = sum(misfit.samples / misfit.time for misfit in misfits.values())
+        freedom = max(samples - variables, 1.0)
+        spread = np.sqrt(max(samples, 1.0) / rng.chisquare(freedom, (DRAWS, 1)))
+    rows = rng.standard_normal((DRAWS, variables)) * spread
+    place = np.repeat(np.arange(len(optima)), rng.multinomial(DRAWS, likely))
+    roots = np.linalg.cholesky(matrices)[place]
+    centres = np.array([optimum.normal for optimum in optima])[place]
+    return rng.permutation(centres + np.einsum("nij,nj->ni", roots, rows))
 
 
-def _sampled(
+def _make_fit(
     forward: Forward,
     record: Record,
     optima: list[Optimum],
     misfits: dict[str, Misfit],
+    runs: int,
     draws: int,
     seed: int,
-) -> _Sample:
-    """Draws from the tempered posterior, begun about the optima."""
-    inputs, names = forward.problem.inputs, list[str]()
-    measured, nearest = record.row, optima[0].residual
-
-    def target(normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        rows, responses = answered(forward, np.asarray(inputs.values(normal)))
-        residuals = rows - measured
-        density = -0.5 * np.sum(normal**2, axis=1)
-        for name, part in zip(record.names, record.parts, strict=True):
-            square, noise = np.sum(residuals[:, part] ** 2, axis=1), record.noise.get(name)
-            worth = misfits[name].time
-            if noise is None:
-                # Of a noise of any size, all equally likely on a logarithmic scale.
-                least = max(float(np.sum(nearest[part] ** 2)), np.finfo(float).tiny)
-                density = density - 0.5 * (part.stop - part.start) / worth * np.log(square / least)
-            else:
-                density = density - 0.5 * square / (noise**2 * worth)
-        names[:] = responses
-        answer_rows = np.array(list(responses.values())).reshape(len(names), len(residuals)).T
-        return np.where(np.isfinite(density), density, -np.inf), answer_rows
-
-    scale = _scale(record, misfits)
-    matrices = [np.linalg.inv(fit.information(scale)) for fit in optima]
-    sample = importance_sampled(target, [fit.normal for fit in optima], matrices, draws, seed)
-    values = np.asarray(inputs.values(sample.normal))
-    responses = dict(zip(names, sample.extras.T, strict=True))
-    return _Sample(sample, values, responses, len(values))
-
-
-def _make_fit(
-    forward: Forward, record: Record, best: Optimum, misfits: dict[str, Misfit], sample: _Sample
 ) -> SignalFit:
-    """Intervals of what was sampled."""
-    problem, weights = forward.problem, sample.draws.weights
-    if sample.draws.effective < LEAST:
-        return _refused(
-            forward,
-            record,
-            best,
-            f"{len(weights)} draws are worth {sample.draws.effective:.0f} of equal weight, too few "
-            'for an interval; give more draws, or ask how="statistics".',
-        )
-    scores = np.asarray(problem.inputs.scores(sample.draws.normal))
+    """Intervals about the optima."""
+    problem, rng = forward.problem, np.random.default_rng(seed)
+    normal = _laplace(optima, record, misfits, rng)
+    values, scores = (
+        np.asarray(convert(normal)) for convert in (problem.inputs.values, problem.inputs.scores)
+    )
     shares = np.asarray(ndtr(scores))
     unknowns = {
-        name: _interval_of_unknown(problem, i, shares[:, i], sample.values[:, i], weights)
+        name: _interval_of_unknown(problem, i, shares[:, i], values[:, i])
         for i, name in enumerate(problem.names)
     }
     answers = {}
-    for name, response in sample.responses.items():
-        middle, low, high = (weighted_quantile(response, weights, x) for x in (0.5, *ENDS))
-        prior = (weighted_quantile(response, sample.draws.prior_weights, x) for x in ENDS)
-        answers[name] = CredibleInterval(middle, low, high, _deviation(response, weights), *prior)
-    values = np.asarray(problem.inputs.values(best.normal))
-    return SignalFit(
-        values,
-        record.row + best.residual,
-        misfits,
-        sample.values,
-        weights,
-        sample.responses,
-        unknowns,
-        answers,
-        _correlations(problem.names, scores, weights),
-        sample.runs,
+    if forward.asked.response_names:
+        prior = problem.inputs.values(rng.standard_normal((draws, values.shape[1])))
+        both = np.concatenate([values[:draws], prior])
+        runs += len(both)
+        result = evaluate_all(forward.asked, both)
+        responses = successes(forward.asked, result.outcome, result.responses)[1]
+        for name, response in responses.items():
+            after, before = (part[np.isfinite(part)] for part in np.split(response, [-draws]))
+            ends = (*np.quantile(after, (0.5, *ENDS)), after.std(), *np.quantile(before, ENDS))
+            answers[name] = CredibleInterval(*map(float, ends))
+    best = np.asarray(problem.inputs.values(optima[0].normal))
+    correlation = np.atleast_2d(np.corrcoef(scores.T))
+    pairs = [(i, j) for j in range(len(problem.names)) for i in range(j)]
+    together = {(problem.names[i], problem.names[j]): float(correlation[i, j]) for i, j in pairs}
+    return SignalFit(best, misfits, values, unknowns, answers, together, runs)
+
+
+def shortest_interval(shares: np.ndarray, content: float = 0.95) -> tuple[float, float]:
+    """The shortest interval of the prior's shares (draws,) [1] that holds `content` [1] of them:
+    where little speaks against an end of the prior, it reaches that end."""
+    ordered = np.sort(shares)
+    inside = int(np.ceil(content * len(ordered)))
+    start = int(np.argmin(ordered[inside - 1 :] - ordered[: len(ordered) - inside + 1]))
+    low, high = float(ordered[start]), float(ordered[start + inside - 1])
+    step = (high - low) / PARTS
+    most = np.histogram(ordered, PARTS, (low, high))[0].max()
+    at_end = np.sum(ordered <= step), np.sum(ordered >= 1.0 - step)
+    low, high = (
+        limit if count >= AT_END * most else end
+        for limit, count, end in zip((0.0, 1.0), at_end, (low, high), strict=True)
     )
+    return low, high
 
 
-def _interval_of_unknown(problem, place, shares, values, weights) -> CredibleInterval:
-    low, high = shortest_interval(shares, weights)
+def _interval_of_unknown(problem, place, shares, values) -> CredibleInterval:
+    low, high = shortest_interval(shares)
     distribution, nominal = problem.inputs.distributions[place], float(problem.nominal()[place])
     at = lambda share: nominal + float(distribution.quantile(share))
     inside = lambda share, extreme: at(share) if np.isfinite(at(share)) else extreme
     ends = inside(low, values.min()), inside(high, values.max())
-    median = weighted_quantile(values, weights, 0.5)
-    return CredibleInterval(median, *ends, _deviation(values, weights), *map(at, ENDS))
-
-
-def _deviation(values: np.ndarray, weights: np.ndarray) -> float:
-    mean = weights @ values
-    return float(np.sqrt(weights @ (values - mean) ** 2))
-
-
-def _correlations(names, scores, weights) -> dict[tuple[str, str], float]:
-    residuals = scores - weights @ scores
-    matrix = residuals.T @ (weights[:, None] * residuals)
-    size = np.sqrt(np.diag(matrix))
-    pairs = [(i, j) for j in range(len(names)) for i in range(j)]
-    return {(names[i], names[j]): float(matrix[i, j] / (size[i] * size[j])) for i, j in pairs}
+    return CredibleInterval(float(np.median(values)), *ends, float(values.std()), *map(at, ENDS))

@@ -32,6 +32,7 @@ from jaxclear.multibody.state import names
 from jaxclear.multibody.system import longest_arm
 from jaxclear.multibody.validation import check_values
 from jaxclear.native import stoppable
+from jaxclear.native.compiled import AROUND_A_KERNEL, compiled_quickly
 from jaxclear.results import histories, response
 from jaxclear.results.state_history import SavedMotion, State, StateHistory, columns, over_time
 from jaxclear.results.trajectory import Trajectory
@@ -113,12 +114,11 @@ def cycle_request(problem: Problem, values: Any) -> Request:
     """What a cycle needs, with the problem's variables at these values."""
     times = problem.shares * problem.duration
     return Request(
-        ungiven(problem.seen(problem.setting(values))), problem.integrator, problem.response, times
+        ungiven(problem.model(problem.setting(values))), problem.integrator, problem.response, times
     )
 
 
-@eqx.filter_jit
-def compiled_cycle(request: Request, begin: SavedMotion, worn: Worn) -> tuple[Cycle, Trajectory]:
+def _cycle(request: Request, begin: SavedMotion, worn: Worn) -> tuple[Cycle, Trajectory]:
     """A cycle and its run."""
     times, past = begin.time + request.times, Past(worn, begin.remembered)
     motion = begin.coordinates, begin.speeds
@@ -143,6 +143,9 @@ def compiled_cycle(request: Request, begin: SavedMotion, worn: Worn) -> tuple[Cy
     return result, trajectory
 
 
+compiled_cycle = compiled_quickly(_cycle, AROUND_A_KERNEL)
+
+
 def cycle(request: Request, begin: SavedMotion, worn: Worn) -> tuple[Cycle, Trajectory]:
     """A cycle simulated, and its run."""
     with stoppable():
@@ -152,33 +155,43 @@ def cycle(request: Request, begin: SavedMotion, worn: Worn) -> tuple[Cycle, Traj
     return jax.tree.map(np.asarray, result), trajectory
 
 
-@eqx.filter_jit
-def worn_by_cycles(request: Request, worn: Worn, losses: Losses, lengths: Any, parts: Any) -> Worn:
+def _worn_by_cycles(
+    request: Request, worn: Worn, losses: Losses, lengths: Any, parts: Any, cycles: Any
+) -> Worn:
     """Depth maps after so many (`lengths`) of each of some cycles, whose `losses` have an axis of
-    cycles in front, in so many `parts`, the shorter the nearer they are to the end: of the former
-    ones walls forget. In each part the cycles go by in their order and backwards, from another
-    place on than in the one before, so that no loss of a cycle comes before the others."""
+    cycles in front (the first so many of them count), in so many `parts`, the shorter the nearer
+    they are to the end: of the former ones walls forget. In each part the cycles go by in their
+    order and backwards, from another place on than in the one before, so that no loss of a cycle
+    comes before the others. All but `request` and `cycles` have an axis of jobs in front, which are
+    worn side by side."""
     system = model_of(request.mechanism, request.integrator.formulation).system
-    cycles, saves = len(lengths), len(request.times) - 1
+    saves = len(request.times) - 1
 
     def put_on(turn, worn):
         part, order = turn // (2 * cycles), turn % (2 * cycles)
         which = jnp.minimum(order, 2 * cycles - 1 - order)
-        ends = (1.0 - part / parts) ** GRADING, (1.0 - (part + 1) / parts) ** GRADING
-        share = 0.5 * (ends[0] - ends[1]) * lengths[which]
         begin = jnp.floor(saves * (part * GOLDEN % 1.0)).astype(int)
 
-        def rotate(rows):
-            rows = jnp.roll(rows[which], -begin, axis=0)
-            return jnp.where(order < cycles, rows, rows[::-1])
+        def one_job(worn, losses, lengths, parts):
+            ends = (1.0 - part / parts) ** GRADING, (1.0 - (part + 1) / parts) ** GRADING
+            share = jnp.where(part < parts, 0.5 * (ends[0] - ends[1]) * lengths[which], 0.0)
 
-        deposited: Losses = {
-            surface: (share * rotate(volumes), rotate(places))
-            for surface, (volumes, places) in losses.items()
-        }
-        return worn_by(system, worn, deposited)
+            def rotate(rows):
+                rows = jnp.roll(rows[which], -begin, axis=0)
+                return jnp.where(order < cycles, rows, rows[::-1])
 
-    return jax.lax.fori_loop(0, 2 * cycles * parts, put_on, worn)
+            deposited: Losses = {
+                surface: (share * rotate(volumes), rotate(places))
+                for surface, (volumes, places) in losses.items()
+            }
+            return worn_by(system, worn, deposited)
+
+        return jax.vmap(one_job)(worn, losses, lengths, parts)
+
+    return jax.lax.fori_loop(0, 2 * cycles * jnp.max(parts), put_on, worn)
+
+
+worn_by_cycles = compiled_quickly(_worn_by_cycles, AROUND_A_KERNEL)
 
 
 def kind_of_cycle(request: Request, begin: SavedMotion, worn: Worn) -> Cycle:
@@ -200,7 +213,7 @@ def first_state(problem: Problem, values: Any) -> tuple[SavedMotion, Worn]:
     formulation = problem.integrator.formulation
     mechanism = problem.with_values(values)
     check_values("this mechanism", mechanism)
-    mechanism = formulation.seen(mechanism)
+    mechanism = formulation.modelled(mechanism)
     mechanism, start, past, _ = beginning(mechanism, formulation, problem.state)
     if not problem.keeps_mode(mechanism, start):
         raise ValueError(Outcome.OTHER_MODE.sentence)
@@ -208,7 +221,7 @@ def first_state(problem: Problem, values: Any) -> tuple[SavedMotion, Worn]:
     layout = model.layout
     rest = jnp.zeros(layout.size - layout.memory_start)
     state = jnp.concatenate([start.coordinates, start.speeds, rest])
-    time = jnp.asarray(problem.state.begins, float)
+    time = jnp.asarray(problem.state.start_time, float)
     state = closure_coordinates.started(mechanism, model.system, layout, time, state)
     remembered = state[layout.remembered] if past.remembered is None else past.remembered
     named = names(model.system, layout)
@@ -244,7 +257,7 @@ def as_problem(
         raise ValueError(f"{owner} of a mechanism needs its period [s]: how long one cycle takes.")
     check_number(f"period of {owner}", period, "s", above=0)
     # Before a problem looks for its integrator by runs, which are long where cycles are meant.
-    begins = float(state.begins) if isinstance(state, State) else 0.0
+    begins = float(state.start_time) if isinstance(state, State) else 0.0
     check_period(owner, subject, begins, float(period), cycles)
     warn_of_several(owner, subject, begins, float(period))
     return Problem(subject, usual_responses(subject), {}, duration=period, state=state)

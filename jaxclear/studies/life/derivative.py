@@ -148,7 +148,7 @@ def _along(life: WearLife, values: Any, max_cycles: int) -> WearLife:
     """The life with other numbers, by the same steps."""
     accurate = life.accuracy if np.isfinite(life.accuracy) else 1.0
     rates = Rates(life.problem, values, Patience(SETTLED, accurate, max_cycles))
-    return lived(rates, life.asked, life.accuracy, None, life.lengths)
+    return lived(rates, life.requested_cycles, life.accuracy, None, life.lengths)
 
 
 def _length_and_noise(life: WearLife, quantity: str, limit: float | None) -> tuple[float, float]:

@@ -30,7 +30,7 @@ from jaxclear.studies.life.cycle import (
     worst_of,
 )
 from jaxclear.studies.life.settling import Patience, Settling, settle
-from jaxclear.studies.life.steps import Cells, CycleFailed, Losses, Rate
+from jaxclear.studies.life.steps import Cells, CycleFailed, Job, Rate
 from jaxclear.studies.problem import Problem
 from jaxclear.studies.store.batch import as_arrays, as_tree
 from jaxclear.studies.store.digest import in_texts
@@ -40,6 +40,8 @@ from jaxclear.studies.store.store import CURRENT, compute_address
 NARROW = (Check.WEAR_BY_CELLS,)
 # So many times the way between two surfaces a line is carried on at the most.
 FURTHEST = 4.0
+# Numbers in a vector register of the widest, and cycles of a job: fewer compile no program anew.
+LANES, LEAST_CYCLES = 8, 4
 
 
 class Rates:
@@ -53,7 +55,7 @@ class Rates:
         self.cells = _cells(problem, self.worn)
         self.count = len(depth)
         self.first_row = np.concatenate([depth, np.zeros(len(self.cells.surfaces))])
-        modelled = problem.integrator.formulation.seen(problem.mechanism)
+        modelled = problem.integrator.formulation.modelled(problem.mechanism)
         self.units = units_of_coordinates(modelled)
         self.places: list[Place] = []
         self.settlings: list[Settling] = []
@@ -94,22 +96,37 @@ class Rates:
                         f"{float(worn_depth.max()):.4g} m deep, of a radius of {thickness:.4g} m."
                     )
 
-    def carry(self, row: np.ndarray, losses: Losses, parts: int) -> np.ndarray:
-        """What is left of these depths by so many cycles of each of some rates, in so many `parts`
-        (`worn_by_cycles`)."""
+    def carry(self, jobs: Sequence[Job]) -> list[np.ndarray]:
+        """Of each job what is left of its depths by its losses (`worn_by_cycles`). Several are worn
+        in the lanes of one kernel, which take little longer than two of them alone."""
+        if len(jobs) == 2:
+            return [row for job in jobs for row in self.carry([job])]
+        # One program for many numbers of jobs and of cycles.
+        spare = -len(jobs) % LANES if len(jobs) > 1 else 0
+        padded = [*jobs, *[jobs[0]._replace(parts=0)] * spare]
         cycles = [
-            (length / len(rate.settled.taken), one.losses)
-            for length, rate in losses
-            for one in rate.settled.taken
+            [
+                (length / len(rate.settled.taken), one.losses)
+                for length, rate in job.losses
+                for one in rate.settled.taken
+            ]
+            for job in padded
         ]
-        # One program for many numbers of cycles.
-        cycles += [(0.0, cycles[0][1])] * (2 ** (len(cycles) - 1).bit_length() - len(cycles))
-        lengths = np.array([length for length, _ in cycles])
-        stacked = jax.tree.map(lambda *rows: np.stack(rows), *(loss for _, loss in cycles))
-        arguments = self.unflat(row[: self.count]), stacked, lengths, np.asarray(parts)
-        worn = worn_by_cycles(self.request, *arguments)
-        means: Any = sum(length * self.cells.means(rate.wear) for length, rate in losses)
-        return np.concatenate([flattened(worn)[0], self.cells.means(row) + means])
+        count = max(map(len, cycles))
+        width = max(2 ** (count - 1).bit_length(), LEAST_CYCLES)
+        cycles = [some + [(0.0, some[0][1])] * (width - len(some)) for some in cycles]
+        lengths, losses = _stack([_stack(some) for some in cycles])
+        parts = np.array([job.parts for job in padded])
+        worn = _stack([self.unflat(job.row[: self.count]) for job in padded])
+        worn = worn_by_cycles(self.request, worn, losses, lengths, parts, np.asarray(count))
+        maps = [np.reshape(depths, (len(padded), -1)) for depths in jax.tree.leaves(worn)]
+        means = self.cells.means
+        return [
+            np.concatenate(
+                [row, means(job.row) + sum(n * means(rate.wear) for n, rate in job.losses)]
+            )
+            for row, job in zip(np.concatenate(maps, axis=1), jobs, strict=False)
+        ]
 
     def halves(self, rate: Rate) -> tuple[Rate, Rate] | None:
         """Of a mean over cycles two rates, by the former and the latter half of these, by
@@ -149,6 +166,11 @@ class Rates:
             return compute()
         address = compute_address(self.question, flattened((motion, worn))[0])
         return store.obtain(address, lambda: as_tree(self.kind, store.load(address)), compute, True)
+
+
+def _stack(trees: Sequence[Any]) -> Any:
+    """Trees of arrays with an axis in front."""
+    return jax.tree.map(lambda *each: np.stack(each), *trees)
 
 
 def flattened(tree: Any) -> tuple[np.ndarray, Any]:

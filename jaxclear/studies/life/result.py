@@ -60,11 +60,11 @@ class Lifetime(NamedTuple):
 
 class WearLife(AbstractAnswer):
     """The wear of a life. `stages` are the points at which cycles were run, `cells` say how depths
-    stand in a row, `new` are the surfaces at its start; `asked` [cycles] and `accuracy` [1] as
-    asked for; `ended` says why a life ended before its time, "" for one that did not; `simulated`
-    cycles were run in all, `rejected` steps taken back; `checks` is the worst that any cycle found
-    out about itself; `by_cells` [1]: the relative error that cells leave in the depth (None: not
-    verified).
+    stand in a row, `new` are the surfaces at its start; `requested_cycles` [cycles] and
+    `accuracy` [1] as in the request; `ended` says why a life ended before its time, "" for one that
+    did not; `simulated` cycles were run in all, `rejected` steps taken back; `checks` is the worst
+    that any cycle found out about itself; `by_cells` [1]: the relative error that cells leave in
+    the depth (None: not verified).
     """
 
     problem: Problem
@@ -72,12 +72,13 @@ class WearLife(AbstractAnswer):
     cells: Cells
     new: Worn
     checks: Checks
-    asked: float = eqx.field(static=True)
+    requested_cycles: float = eqx.field(static=True)
     accuracy: float = eqx.field(static=True)
     ended: str = eqx.field(static=True)
     simulated: int = eqx.field(static=True)
     rejected: int = eqx.field(static=True)
     by_cells: float | None = eqx.field(static=True, default=None)
+    asked = Renamed("requested_cycles")
 
     @property
     def cycles(self) -> np.ndarray:
@@ -304,7 +305,7 @@ class WearLife(AbstractAnswer):
         text += f"the volume to {percents[1]:.2g} %."
         text += " That of cells is not in it: verify=True." if self.by_cells is None else ""
         if self.ended:
-            early = f"The life ended before its {self.asked:.4g} cycles: {self.ended}"
+            early = f"The life ended before its {self.requested_cycles:.4g} cycles: {self.ended}"
             text = f"{early} Until then, {text}"
         restless = sum(not stage.settled.periodic for stage in self.stages)
         if restless:
@@ -314,7 +315,7 @@ class WearLife(AbstractAnswer):
             )
         if self.error > self.accuracy:
             text += f" That is more than the {100 * self.accuracy:.2g} % asked for"
-            text += "; with a larger `most` noise is less." if restless else "."
+            text += "; with a larger `max_cycles` noise is less." if restless else "."
         by_saves = float(self.by_saves.max())
         if by_saves > self.accuracy:
             text += (
@@ -326,8 +327,6 @@ class WearLife(AbstractAnswer):
 
     def _summary(self):
         return self.sentence(), *self.warnings
-
-    concerned = Renamed("is_affected")
 
     def is_affected(self, response: str) -> bool:
         """Whether a warning concerns this response."""

@@ -185,7 +185,8 @@ def steady_cycle(
     with progress.bar(progress_bar, "settling"):
         ready = lambda c: not restless(mechanism, float(c.end.time) - length, length)
         settling = settle(one, begin, worn, Patience(tolerance, 1.0, cycles), ready)
-    run = eqx.tree_at(lambda r: r.history.mechanism, runs[0], problem.seen(problem.setting(values)))
+    modelled = problem.model(problem.setting(values))
+    run = eqx.tree_at(lambda r: r.history.mechanism, runs[0], modelled)
     result = SteadyCycle(problem, settling, run, worn, tolerance)
     if settling.last.fault:
         if throw:

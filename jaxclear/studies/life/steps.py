@@ -88,6 +88,14 @@ class Rate(NamedTuple):
 Losses = Sequence[tuple[float, Rate]]
 
 
+class Job(NamedTuple):
+    """A row of depths that losses are put on, in so many parts."""
+
+    row: np.ndarray
+    losses: Losses
+    parts: int
+
+
 class Cells(NamedTuple):
     """How the depths of a life stand in one row: the cells of one surface after the other, and
     behind them for each surface the mean depth that its lost volume makes, whose noise is far less
@@ -193,13 +201,13 @@ class Trial(NamedTuple):
 
 
 class Machine(NamedTuple):
-    """What a life is of. `evaluate`: a row of depths -> the rate there. `carry`: (row, losses,
-    parts) -> the row that the wall's law makes of them. `halves`: of a rate that is a mean over
+    """What a life is of. `evaluate`: a row of depths -> the rate there. `carry`: of each
+    of some jobs the row that the wall's law makes of it. `halves`: of a rate that is a mean over
     cycles two, by half of them each, that wear as much; None of one without noise. `hear`: of the
     share of the life by which it has gone on."""
 
     evaluate: Callable[[np.ndarray], Rate]
-    carry: Callable[[np.ndarray, Losses, int], np.ndarray]
+    carry: Callable[[Sequence[Job]], Sequence[np.ndarray]]
     cells: Cells
     halves: Callable[[Rate], tuple[Rate, Rate] | None] = lambda rate: None
     hear: Callable[[float], None] = lambda share: None
@@ -279,14 +287,14 @@ def live_by_jumps(machine: Machine, start: Node, cycles: float, jump: float) -> 
         now = nodes[-1]
         length = min(jump, cycles - now.cycles)
         losses = [(length, now.rate)]
-        depth = machine.carry(now.depth, losses, PARTS)
+        depth, *path = machine.carry(_jobs(now.depth, losses, PARTS))
         try:
             rate = machine.evaluate(depth)
         except CycleFailed as reason:
             return Stepped(tuple(nodes), 0, str(reason))
-        off = 0.5 * (machine.carry(now.depth, [(length, rate)], PARTS) - depth)
+        off = 0.5 * (machine.carry([Job(now.depth, [(length, rate)], PARTS)])[0] - depth)
         shape = cells.shape(off, depth - now.depth)
-        after = _after(machine, now, losses, depth, rate, shape, PARTS)
+        after = _after(machine, now, losses, (*path, depth), rate, shape, PARTS)
         nodes.append(after._replace(error=now.error + np.abs(cells.means(off))))
         machine.hear(length / cycles)
     return Stepped(tuple(nodes), 0, "")
@@ -315,7 +323,7 @@ def _stepped(
     now, cells = nodes[-1], machine.cells
     rates, so_far = [now.rate], now.depth - nodes[0].depth
     for row in STAGES[:-1]:
-        depth = machine.carry(now.depth, _summed(length * row, rates), parts)
+        (depth,) = machine.carry([Job(now.depth, _summed(length * row, rates), parts)])
         rates.append(machine.evaluate(depth))
         if len(rates) == 2:
             change = _change(cells, rates[0], rates[1]) / row[0]
@@ -327,9 +335,11 @@ def _stepped(
                 return None, tolerance * far**3
     # The last stage is the answer of third order.
     losses = _summed(length * STAGES[-1], rates)
-    depth, parts, by_parts = _carried(machine, now.depth, losses, so_far, tolerance, parts)
+    path, parts, by_parts = _carried(machine, now.depth, losses, so_far, tolerance, parts)
+    depth = path[-1]
     rates.append(machine.evaluate(depth))
-    other = machine.carry(now.depth, _summed(length * (WEIGHTS - ERRORS), rates), parts)
+    losses_of_second = _summed(length * (WEIGHTS - ERRORS), rates)
+    (other,) = machine.carry([Job(now.depth, losses_of_second, parts)])
     grown, estimate = depth - now.depth, depth - other
     noise = [w * rate.noise for w, rate in zip(ERRORS, rates, strict=True)]
     noise = length * np.linalg.norm(noise, axis=0)
@@ -349,7 +359,7 @@ def _stepped(
     error = np.minimum(smooth * OF_THIRD_ORDER * change, cells.shares(most, increments))
     counts = _counts(cells, most, so_far)
     ratios = (error + OF_SCATTER * (shares - smooth)) * counts + off
-    after = _after(machine, now, losses, depth, rates[-1], shape, parts)
+    after = _after(machine, now, losses, path, rates[-1], shape, parts)
     after = after._replace(error=now.error + error * np.abs(increments))
     trial = Trial(after, shares, noise_shares, SMOOTH * change**2, counts)
     return trial, float(ratios.max(initial=0.0))
@@ -373,6 +383,12 @@ def _summed(weights: np.ndarray, rates: Sequence[Rate]) -> list[tuple[float, Rat
     return [(cycles, rate) for cycles, rate in pairs if cycles > 0]
 
 
+def _jobs(row: np.ndarray, losses: Losses, parts: int) -> list[Job]:
+    """A row behind these losses, and on the way there."""
+    paths = [[(share * length, rate) for length, rate in losses] for share in FRACTIONS]
+    return [Job(row, some, parts) for some in (losses, *paths)]
+
+
 def _carried(
     machine: Machine,
     row: np.ndarray,
@@ -380,11 +396,14 @@ def _carried(
     so_far: np.ndarray,
     tolerance: float,
     parts: int,
-) -> tuple[np.ndarray, int, np.ndarray]:
-    """(the row behind these losses, in how many parts, what the shape of cells may be off for their
-    number [m]): more than `parts` until that is little beside what is worn `so_far`."""
+) -> tuple[tuple[np.ndarray, ...], int, np.ndarray]:
+    """(rows on the way to that behind these losses, and that one; in how many parts; what the shape
+    of cells may be off for their number [m]): more than `parts` until that is little beside what is
+    worn `so_far`."""
     cells = machine.cells
-    rows = [machine.carry(row, losses, max(parts // few, 1)) for few in (4, 2, 1)]
+    fewer = [Job(row, losses, max(parts // few, 1)) for few in (2, 4)]
+    depth, *path, half, fourth = machine.carry([*_jobs(row, losses, parts), *fewer])
+    rows = [fourth, half, depth]
     while True:
         before, off = ((b - a)[: len(cells.areas)] for a, b in pairwise(rows[-3:]))
         last = np.linalg.norm(off)
@@ -393,55 +412,54 @@ def _carried(
         sizes = cells.sizes(so_far + rows[-1] - row)
         share = cells.shares(cells.sizes(off), sizes).max(initial=0.0)
         if share <= OF_TOLERANCE * tolerance or parts >= MOST_PARTS:
-            return rows[-1], parts, off
+            return (*path, rows[-1]), parts, off
         parts *= 2
-        rows.append(machine.carry(row, losses, parts))
+        depth, *path = machine.carry(_jobs(row, losses, parts))
+        rows.append(depth)
 
 
 def _after(
     machine: Machine,
     now: Node,
     losses: Losses,
-    depth: np.ndarray,
+    path: tuple[np.ndarray, ...],
     rate: Rate,
     shape: np.ndarray,
     parts: int,
 ) -> Node:
-    """The node behind a step, with what is known of its shape and its noise."""
-    cells, cycles = machine.cells, sum(length for length, _ in losses)
-    few = max(parts // 2, 1)
-
-    def forgotten(difference: np.ndarray) -> np.ndarray:
-        """What the wall's law leaves of a difference in shape from before the step."""
-        if not difference.any():
-            return difference
+    """The node at the end of the `path` of a step, with what is known of its shape and its
+    noise."""
+    cells, cycles, few = machine.cells, sum(length for length, _ in losses), max(parts // 2, 1)
+    halves = [machine.halves(rate) for _, rate in losses]
+    pairs = list(zip(losses, halves, strict=True))
+    jobs = [
+        Job(now.depth, [(length, half[i] if half else rate) for (length, rate), half in pairs], few)
+        for i in (0, 1)
+        if any(halves)
+    ]
+    # What the wall's law leaves of differences in shape from before the step.
+    differences = [now.shape, now.noise] if now.shape.any() or now.noise.any() else []
+    for difference in differences:
         moved = now.depth.copy()
         moved[: len(difference)] = np.maximum(moved[: len(difference)] + difference, 0.0)
-        ends = [machine.carry(row, losses, few) for row in (moved, now.depth)]
-        return (ends[0] - ends[1])[: len(difference)]
-
-    remainder, noise = forgotten(now.shape), forgotten(now.noise)
-    halves = [machine.halves(rate) for _, rate in losses]
+        jobs.append(Job(moved, losses, few))
+    jobs += [Job(now.depth, losses, few)] if differences else []
+    ends = [row[: len(shape)] for row in machine.carry(jobs)] if jobs else []
+    remainder, noise = (end - ends[-1] for end in ends[-3:-1]) if differences else (0.0, now.noise)
     if any(halves):
-        ends = []
-        for i in (0, 1):
-            pairs = zip(losses, halves, strict=True)
-            some = [(length, half[i] if half else rate) for (length, rate), half in pairs]
-            ends.append(machine.carry(now.depth, some, few))
-        change = 0.5 * (ends[0] - ends[1])[: len(noise)]
+        change = 0.5 * (ends[0] - ends[1])
         noise = np.copysign(np.hypot(change, noise), change)
     spread = [length * cells.means(rate.noise) for length, rate in losses]
     variance = now.variance + np.sum(np.square(spread), axis=0)
-    paths = [[(share * length, rate) for length, rate in losses] for share in FRACTIONS]
     return Node(
         now.cycles + cycles,
-        depth,
+        path[-1],
         rate,
         now.error,
         variance,
         shape + remainder,
         noise,
-        (*(machine.carry(now.depth, some, parts) for some in paths), depth),
+        path,
         parts,
     )
 

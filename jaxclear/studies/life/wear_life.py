@@ -205,7 +205,7 @@ def _check_names(problem: Problem) -> None:
 def _check_wears(problem: Problem) -> None:
     """Raises `ValueError` where nothing wears, or wear is carried on already."""
     mechanism = problem.mechanism
-    problem.integrator.formulation.seen(mechanism)
+    problem.integrator.formulation.modelled(mechanism)
     flanks = [name for name, c in mechanism.couplings.items() if c.gives and c.play]
     surfaces = {
         f'{surface} of {"coupling" if name in flanks else "joint"} "{name}"': wearing

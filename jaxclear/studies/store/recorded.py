@@ -30,7 +30,7 @@ class RecordedVariable(AbstractFreeVariable):
     def parts(self):
         return self.recorded_parts
 
-    def told(self, name, subject):
+    def identity(self, name, subject):
         return {}
 
 

@@ -94,7 +94,7 @@ class ZoneVariable(AbstractMechanismVariable):
     def check(self, name, mechanism):
         marker_at(mechanism, self.zone.marker, name)
 
-    def told(self, name, subject):
+    def identity(self, name, subject):
         return {f'zone of "{name}"': (self.zone, self.bonus, self.datum, self.datum_at)}
 
 

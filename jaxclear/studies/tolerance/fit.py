@@ -133,6 +133,16 @@ class Fit(AbstractTolerance):
             )
         return match.groups()
 
+    def _summary(self):
+        # No minus before a zero.
+        in_um = [[round(end / MICRO, 3) + 0.0 for end in self.limits(side)] for side in (0, 1)]
+        ends = [f"{low:+.4g} to {high:+.4g}" for low, high in in_um]
+        least, largest = (end / MICRO for end in self.clearance)
+        return (
+            f"Fit {self.fit}: hole {ends[0]} um, shaft {ends[1]} um; clearance of the diameters "
+            f"{least:.4g} to {largest:.4g} um."
+        )
+
     @property
     def specification(self):
         return self.fit
@@ -264,7 +274,7 @@ class FitSizes(AbstractMechanismVariable):
         except ValueError as error:
             raise ValueError(f'joint "{self.joint}" {error}') from None
 
-    def told(self, name, subject):
+    def identity(self, name, subject):
         return {f'fit of "{name}"': (self.joint, self.means)}
 
 
