@@ -43,10 +43,10 @@ class ContactRates(NamedTuple):
     where they are stiffer), `damping` [1/s] and `friction` [1/s], under the `force` [N] that closes
     the clearance."""
 
-    force: float
-    contact: float
-    damping: float
-    friction: float
+    force: Any
+    contact: Any
+    damping: Any
+    friction: Any
 
 
 class _Pressed(NamedTuple):
@@ -117,7 +117,7 @@ def _rates_of_joints(
         loads = pressed.acceleration / jnp.maximum(pressed.lightness, LEAST_LIGHTNESS)
         *parts, travel = (part[jnp.argmax(jnp.max(loads, axis=1))] for part in pressed)
         rates = [
-            _rates(laws, _Pressed(*(part[k] for part in parts), travel), step)
+            _rates(laws, _Pressed(*[*(part[k] for part in parts), travel]), step)
             for k, laws in enumerate(bearings[name].contact_laws)
             if laws.contact.compliant
         ]
