@@ -293,6 +293,32 @@ def test_a_bearing_without_friction_wears_as_on_a_tight_run():
     np.testing.assert_allclose(long, tight, rtol=0.1)
 
 
+def test_a_contact_without_damping_beside_a_play_moves_as_alone():
+    """Nothing connects the two, so each is where it is without the other."""
+    journal = held_journal(jc.contact.Hertz(stiffness=1e8), speeds=(0.0, -0.1, 0.0))
+    arm = {"A": jc.Connection(jc.joint.Revolute(), "ground", "arm")}
+    play = {"play": jc.clearance.Backlash(1e-3), "stiffness": 1e3, "damping": 1.0}
+    gear = {"gear": jc.coupling.Gear(jc.coupling.Motor(2e-5), "A", 10.0, **play)}
+    running = {"gear.motor": 20.0}
+    geared = jc.Mechanism({"arm": jc.Body(1.0, 0.1)}, arm, couplings=gear, speeds=running)
+    both = jc.Mechanism(
+        dict(journal.bodies) | dict(geared.bodies),
+        dict(journal.connections) | arm,
+        couplings=gear,
+        speeds=dict(journal.speeds) | running,
+    )
+    runs = [
+        jc.simulate(rig, 5e-3, save=3, integrator=jc.integrator.ImplicitStep(STEP), verify=False)
+        for rig in (both, journal, geared)
+    ]
+    together, left, right = runs
+    assert together.extremes.indentation[0] > 0 and together.extremes.transmitted[0] > 0
+    place = [run.body("journal").com for run in (together, left)]
+    np.testing.assert_allclose(*place, rtol=1e-9, atol=1e-14)
+    angle = [run.coordinate("A") for run in (together, right)]
+    np.testing.assert_allclose(*angle, rtol=1e-12)
+
+
 @pytest.mark.slow
 def test_a_surface_worn_beneath_a_closed_contact_lets_the_journal_follow():
     """Steps hand on how deep contacts are, and saving times lower the surface: a journal that wears
