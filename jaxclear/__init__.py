@@ -9,11 +9,14 @@ import gc
 import importlib
 import os
 import sys
+import time
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 import jax
 
+# The rest of the package is read after this [s since 1970].
+_READ_AFTER = time.time()
 # An option of XLA's CPU compiler, read when JAX first computes: loops over a state of up to 100 MB
 # (instead of 1 kB) become one kernel, where otherwise every operation of the body is dispatched by
 # itself. Steps of the four-bar that XLA ran were at least 7 times faster by it. Other

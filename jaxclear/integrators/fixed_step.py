@@ -19,7 +19,15 @@ from jaxclear.formulations.compliant import CompliantContact
 from jaxclear.formulations.impact_speed import has_bristles, put_right
 from jaxclear.formulations.model import Model
 from jaxclear.ground.grouping import packed, unpacked
-from jaxclear.ground.quantity import Scalar, concrete, constant, count, quantity
+from jaxclear.ground.quantity import (
+    Scalar,
+    concrete,
+    constant,
+    count,
+    on_device,
+    on_host,
+    quantity,
+)
 from jaxclear.ground.tangents import allow_first_derivative
 from jaxclear.ground.wording import unknown
 from jaxclear.integrators import munthe_kaas
@@ -270,7 +278,7 @@ class FixedStep(AbstractIntegrator):
     def with_finer_steps(self, share):
         if self.steps_per_save is not None:
             return None
-        return eqx.tree_at(lambda a: a.step, self, share * self.step)
+        return eqx.tree_at(lambda a: a.step, self, on_device(share * on_host(self.step)))
 
     @property
     def opens_loops(self):
