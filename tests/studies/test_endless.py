@@ -12,9 +12,10 @@ import jaxclear as jc
 from jaxclear import plot
 from jaxclear.commands.report import campaign_page
 from jaxclear.integrators import Outcome
+from jaxclear.studies.design.population import GROUPS
 from jaxclear.studies.design.question import Question, checked_limits, freedom_of
 from jaxclear.studies.design.runs import Runs
-from jaxclear.studies.design.verification import GROUPS, Verifier, _finite
+from jaxclear.studies.design.verification import Verifier, _finite
 from jaxclear.studies.experiment import Cost, Description, ResponseInfo, SampleResult
 from jaxclear.studies.infinite_responses import replace_infinite, successes
 from jaxclear.studies.reliability.models import RunModel
@@ -223,7 +224,7 @@ def test_a_share_is_told_beside_lives_that_are_smaller_and_no_infinite_error_is_
     assert _finite(lowest, lives)[1] == -6.0
     found = np.ones((2, 1 + GROUPS, 2))
     found[0, 3, 0] = np.inf
-    verifier = Verifier(question_of(lasting, share, share), None, None, False)
+    verifier = Verifier(question_of(lasting, share, share), None, 0)
     nothing = np.zeros((64, 1)), np.ones(64, bool), np.zeros(64, np.int64)
     assert verifier._make_check(found, *nothing).errors.tolist() == [np.inf, 0.0]
 

@@ -16,11 +16,11 @@ from jaxclear.ground.arguments import check_count, check_flags, check_name, chec
 from jaxclear.ground.printing import as_written, in_few, with_error
 from jaxclear.studies.answer import AbstractAnswer, Column, Stated
 from jaxclear.studies.design.limit import AbstractLimit
-from jaxclear.studies.design.population import points
+from jaxclear.studies.design.population import GROUPS, in_groups
 from jaxclear.studies.design.question import Question, checked_limits, freedom_of
 from jaxclear.studies.design.result import FEW_FAILED
 from jaxclear.studies.design.runs import BATCH, Runs
-from jaxclear.studies.design.verification import GROUPS, INSTEAD
+from jaxclear.studies.design.verification import INSTEAD
 from jaxclear.studies.infinite_responses import refuse_infinite
 from jaxclear.studies.problem import Problem
 from jaxclear.studies.run_warnings import sentences
@@ -170,9 +170,7 @@ def largest(
     question = Question(freedom, {}, (checked,), problem.inputs, np.ones(1))
     runs = Runs(problem, progress_bar, min(BATCH, samples))
     # The same parts in each trial, but for the mean of the variable.
-    each = -(-samples // GROUPS)
-    sets = [points(len(problem.names), each, seed * GROUPS + group) for group in range(GROUPS)]
-    normal, group = np.concatenate([s.normal for s in sets]), np.repeat(np.arange(GROUPS), each)
+    normal, _, group = in_groups(problem.names, samples, seed)
     trials: list[Trial] = []
 
     def excess_at(value: float) -> float:

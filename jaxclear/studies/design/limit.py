@@ -3,15 +3,13 @@ probability, the worst case.
 
 A limit sees a `Sample` of a response (or of a variable) and gives its own number. What is limited
 from below is limited from above with the sign turned, so a positive excess always breaks it.
-Weights of a sample add up to 1 and may be negative: a large sample of a surface, plus what few runs
-differ from it, is one such sample, and its mean is that of a control variate.
+Weights of a sample add up to 1.
 
 An infinite response, such as a life that outlasts what is followed, is a finite one beyond all
 others and beyond the `levels` that decide. Limits that ask for more than on which side of their
 levels parts lie are refused before anything is run.
 """
 
-import bisect
 from abc import abstractmethod
 from typing import Any, NamedTuple
 
@@ -45,7 +43,7 @@ class Sample(NamedTuple):
 
     Args:
         values: values of the response, shape (samples,).
-        weights: weights [1], shape (samples,), with a sum of 1, negative ones allowed.
+        weights: weights [1], shape (samples,), with a sum of 1.
         ends: smallest and largest value over the tolerances by first order, shape (2,); 0 where the
             limit is of another kind.
     """
@@ -191,9 +189,9 @@ def mean(values: Values, weights: Values) -> Scalar:
 
 
 def deviation(values: Values, weights: Values) -> Scalar:
-    """Weighted standard deviation; 0 where negative weights leave no variance."""
+    """Weighted standard deviation."""
     away = values - mean(values, weights)
-    return safe_sqrt(jnp.maximum(jnp.sum(weights * away**2), 0.0))
+    return safe_sqrt(jnp.sum(weights * away**2))
 
 
 def quantile(values: Values, weights: Values, share: Scalar) -> Scalar:
@@ -328,16 +326,8 @@ class Quantile(AbstractOneSidedLimit):
         return -quantile(-sample.values, sample.weights, 1.0 - self.share)
 
     def estimate(self, values, group):
-        if len(values) == 0:
-            return scrambled.UNKNOWN
-        # The end is the value that so many samples exceed as a `Probability` lets pass.
-        worst_first = np.argsort(-values if self.upper() else values)
-        places, rare = np.argsort(worst_first), self.rarest()
-        share = lambda count: scrambled.share(places < count, group).high
-        count = bisect.bisect_right(range(int(rare * len(values)) + 1), rare, key=share) - 1
-        value = scrambled.ordinary_quantile(values, 1.0 - rare if self.upper() else rare)
-        end = values[worst_first[count]] if count >= 0 else np.inf if self.upper() else -np.inf
-        return Statistic(value, *sorted((2.0 * value - float(end), float(end))))
+        share = 1.0 - self.rarest() if self.upper() else self.rarest()
+        return scrambled.quantile(values, group, share)
 
     def rarest(self):
         return 1.0 - float(self.share)

@@ -7,6 +7,7 @@ and weighted by how much rarer they are.
 """
 
 from abc import abstractmethod
+from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
@@ -21,6 +22,9 @@ from jaxclear.studies.problem import Problem
 from jaxclear.studies.scrambling import scrambled_normal
 from jaxclear.studies.surface.fitting import fitted
 from jaxclear.studies.surface.polynomials import Polynomials, products
+
+# Independent scramblings.
+GROUPS = 8
 
 
 class Points(eqx.Module):
@@ -54,6 +58,18 @@ def points(
     grown = np.mean([np.exp(normal @ c - 0.5 * c @ c) for c in centres], axis=0)
     weights = 1.0 / grown
     return Points(normal, weights / weights.sum())
+
+
+def in_groups(
+    names: Sequence[str], least: int, seed: int, shifts: tuple[np.ndarray, ...] = ()
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """At least so many points (samples, names) of independent scramblings, their weights, and the
+    number of the scrambling of each."""
+    each = -(-least // (GROUPS * (1 + len(shifts))))
+    sets = [points(len(names), each, seed * GROUPS + k, shifts) for k in range(GROUPS)]
+    normal = np.concatenate([one.normal for one in sets])
+    weights = np.concatenate([one.weights for one in sets]) / GROUPS
+    return normal, weights, np.repeat(np.arange(GROUPS), len(normal) // GROUPS)
 
 
 def _matched(variables: int, samples: int, seed: int) -> np.ndarray:

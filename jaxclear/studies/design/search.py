@@ -245,15 +245,15 @@ class _Seeking:
     def _checked(self, number: int, candidate: Candidate) -> Check:
         """The candidate by new runs; by more where they are less sure than is asked."""
         shifts = rare_regions(self.question, candidate.place, self.model)
-        verifier = Verifier(self.question, self.runs, self.points, not self.direct)
-        samples = MORE * self.settings.samples if self.direct else self.settings.check
+        wide = MORE * self.settings.samples
+        verifier = Verifier(self.question, self.runs, 0 if self.direct else wide)
+        samples = wide if self.direct else self.settings.check
         times = MOST_TIMES if self.direct else TIMES
         for again in range(times + 1):
             # Seeds apart from those of surfaces and of the search.
             seed = 1000 * (self.settings.seed + 1) + (times + 1) * number + again
             check = verifier.check(candidate.place, self.model, samples, seed, shifts)
-            unsure = check.excess_errors.max() > self.settings.allowed_excess
-            if not unsure:
+            if not check.excess_errors.max() > self.settings.allowed_excess:
                 return check
             samples *= MORE
         return check

@@ -1,8 +1,9 @@
 """Whether a design keeps its limits, by runs that had no part in finding it.
 
 Each verification draws anew. Where a surface was used, runs and surface are taken at the same new
-points: their difference corrects the large sample of the surface (a control variate). The error is
-that between independent scramblings, each left out once.
+points: their differences correct a large new sample of the surface (a control variate). The error
+is that between independent scramblings, each left out once with its runs and its part of the large
+sample, and counts how skewed what they contribute is.
 """
 
 from typing import Any, NamedTuple
@@ -12,15 +13,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxclear.studies.design.limit import SAME, AbstractLimit, Sample
-from jaxclear.studies.design.population import AbstractModel, Points, points
+from jaxclear.studies.design.population import GROUPS, AbstractModel, in_groups
 from jaxclear.studies.design.question import Question
 from jaxclear.studies.design.runs import Runs
 from jaxclear.studies.infinite_responses import refuse_infinite, replace_infinite
-from jaxclear.studies.statistics.scrambled import student
-from jaxclear.studies.surface.control_variate import with_difference
+from jaxclear.studies.statistics.scrambled import skewed_half
+from jaxclear.studies.surface.control_variate import corrected_values
 
-# Independent scramblings.
-GROUPS = 8
 # What limits infinite responses, as lives may be.
 INSTEAD = "take limit.Quantile or limit.Probability"
 
@@ -47,37 +46,32 @@ class Check(NamedTuple):
 
 
 class Verifier(NamedTuple):
-    """What verifies: `wide` is the large sample that a model is taken at, `corrected` whether it is
-    corrected by runs (a surface), or runs stand alone."""
+    """What verifies: `wide` is how many points a surface is taken at, which runs correct; 0 where
+    runs stand alone."""
 
     question: Question
     runs: Runs
-    wide: Points
-    corrected: bool
+    wide: int
 
     def check(
         self, place: np.ndarray, model: AbstractModel, samples: int, seed: int, shifts: tuple
     ) -> Check:
         """The limits at a place, by at least `samples` new parts; `shifts` as in `points`."""
-        each = -(-samples // (GROUPS * (1 + len(shifts))))
-        count = len(self.question.freedom.names)
-        sets = [points(count, each, seed * GROUPS + group, shifts) for group in range(GROUPS)]
-        normal = np.concatenate([one.normal for one in sets])
-        weights = np.concatenate([one.weights for one in sets]) / GROUPS
+        draw = lambda least: in_groups(self.question.freedom.names, least, seed, shifts)
+        normal, weights, group = draw(samples)
         values = np.asarray(self.question.values(jnp.asarray(place), normal))
         before = self.runs.count
         responses = self.runs.ask(values, "verification")
         good = ~np.isnan(responses).any(axis=1)
-        by_group = np.repeat(np.arange(GROUPS), len(values) // GROUPS)
+        shares = _shares(np.where(good, weights, 0.0), group)
+        # The same scramblings go on: where runs are, the surface is taken too.
+        large = draw(max(self.wide, samples)) if self.wide else None
         estimates = []
         for limit in self.question.limits:
-            sample, largest = self._sampler(limit, place, model, values, responses)
-            rows = []
-            for omitted_group in (-1, *range(GROUPS)):
-                group_weights = np.where(good & (by_group != omitted_group), weights, 0.0)
-                number, excess = (float(one) for one in _measured(limit, sample(group_weights)))
-                # A number that stands for infinite ones is none to be told.
-                rows.append([np.inf if number > largest else number, excess])
+            seen, largest = self._samples(limit, place, model, values, responses, shares, large)
+            rows = np.array([_measured(limit, sample) for sample in seen], float)
+            # A number that stands for infinite ones is none to be told.
+            rows[rows[:, 0] > largest, 0] = np.inf
             estimates.append(rows)
         return self._make_check(np.array(estimates), values, good, self.runs.warned(before))
 
@@ -87,9 +81,9 @@ class Verifier(NamedTuple):
         """`rows` (limits, 1 + groups, 2): numbers and excesses, of all groups and without each;
         `values` (runs, variables), of which those did not fail that are `good` (runs,)."""
         failed = values[~good]
-        factor = student(GROUPS)
         finite = np.where(np.isfinite(rows), rows, np.nan)
-        errors = factor * np.sqrt((GROUPS - 1) * finite[:, 1:].var(axis=1))
+        parts = GROUPS * finite[:, :1] - (GROUPS - 1) * finite[:, 1:]
+        errors = np.apply_along_axis(skewed_half, 1, parts)
         # Nothing bounds a number that is infinite without one of the groups.
         errors = np.where(np.isinf(rows[:, 1:]).any(axis=1), np.inf, errors)
         sizes = self.question.sizes
@@ -104,9 +98,9 @@ class Verifier(NamedTuple):
             codes,
         )
 
-    def _sampler(self, limit: AbstractLimit, place: Any, model: Any, values: Any, responses: Any):
-        """What a limit sees of runs with weights, of which some may be 0; and the largest number
-        that is told, where some are infinite."""
+    def _samples(self, limit, place, model, values, responses, shares, large):
+        """What a limit sees of all runs and without each of the groups, by the `shares` of runs and
+        a `large` sample; and the largest number that is told, where some are infinite."""
         question, names = self.question, self.runs.problem.response_names
         if limit.extreme():
             corner, by_name = question.corner(limit, place, model)[None], {}
@@ -114,30 +108,30 @@ class Verifier(NamedTuple):
                 by_name = dict(zip(names, self.runs.ask(corner, "worst case").T, strict=True))
             data, largest = _finite(limit, np.asarray(question.of(limit, corner, by_name)))
             ends = jnp.tile(jnp.asarray(data), 2)
-            return lambda weights: Sample(jnp.zeros(1), jnp.ones(1), ends), largest
+            return [Sample(jnp.zeros(1), jnp.ones(1), ends)] * len(shares), largest
         data = np.asarray(question.of(limit, values, dict(zip(names, responses.T, strict=True))))
         if limit.by_moments():
             refuse_infinite(self.runs.problem, {limit.response: data}, "mean or deviation", INSTEAD)
         data, largest = _finite(limit, np.where(np.isnan(data), 0.0, data))
-        if not (self.corrected and limit.response in names):
-            alone = Sample(jnp.asarray(data), jnp.zeros(0), jnp.zeros(2))
-            return lambda weights: alone._replace(weights=_shares(weights)), largest
-        wide = question.values(jnp.asarray(place), self.wide.normal)
-        large = Sample(
-            jnp.asarray(question.of(limit, wide, model(wide))),
-            jnp.asarray(self.wide.weights),
-            jnp.zeros(2),
-        )
-        here = jnp.asarray(question.of(limit, values, model(jnp.asarray(values))))
-
-        value_array = jnp.asarray(data)
-        return lambda weights: with_difference(large, value_array, here, _shares(weights)), largest
+        if large is None or limit.response not in names:
+            return [Sample(data, row, np.zeros(2)) for row in shares], largest
+        normal, weights, group = large
+        wide = question.values(jnp.asarray(place), normal)
+        stand_in = np.asarray(question.of(limit, wide, model(wide)))
+        there = np.asarray(question.of(limit, values, model(jnp.asarray(values))))
+        # Where no run succeeds nothing is known: shares are nan.
+        kept = _shares(weights, group) * shares.sum(axis=1, keepdims=True)
+        pairs = zip(kept, shares, strict=True)
+        moved = lambda row, share: corrected_values(stand_in, row, data, there, share)
+        return [Sample(moved(row, share), row, np.zeros(2)) for row, share in pairs], largest
 
 
-def _shares(weights: np.ndarray) -> Any:
-    total = weights.sum()
-    # Where no run succeeds nothing is known.
-    return jnp.asarray(weights / total if total > 0 else np.full_like(weights, np.nan))
+def _shares(weights: np.ndarray, group: np.ndarray) -> np.ndarray:
+    """Weights (samples,) that add up to 1, of all groups and without each, (1 + groups, samples);
+    nan where there are none."""
+    kept = np.where(group != np.arange(-1, GROUPS)[:, None], weights, 0.0)
+    total = kept.sum(axis=1, keepdims=True)
+    return kept / np.where(total > 0, total, np.nan)
 
 
 def _finite(limit: AbstractLimit, values: np.ndarray) -> tuple[np.ndarray, float]:

@@ -119,10 +119,8 @@ def jackknifed(
     if len(parts) < 2 or not np.all(np.isfinite(parts)):
         return Statistic(value, -np.inf, np.inf)
     half = half_width(parts)
-    if not skewed:
-        return Statistic(value, value - half, value + half)
-    far, upwards = skewed_half(parts), np.mean((parts - parts.mean()) ** 3) > 0
-    low, high = (half, far) if upwards else (far, half)
+    far = skewed_half(parts) if skewed else half
+    low, high = (half, far) if np.mean((parts - parts.mean()) ** 3) > 0 else (far, half)
     return Statistic(value, value - low, value + high)
 
 

@@ -3,16 +3,15 @@
 The mean of a response is that of a share of what stands in for its runs, known from as many
 evaluations as wanted, and the mean of the difference, $E[y] = w E[s] + E[y - w s]$: without bias
 whatever stands in. Each is told by independent scramblings of its own, so that their variances add
-up. With a cheaper model in the place of the surface, level by level, that is a telescoping sum; as
-one sample whose weights may be negative it serves quantiles too.
+up. With a cheaper model in the place of the surface, level by level, that is a telescoping sum. As
+one sample, each part of which takes the difference of the run of its rank, it serves quantiles too.
 
 Source: Nelson 1990, Oper. Res. 38, 974, doi:10.1287/opre.38.6.974 (control variates); Giles 2008,
 Oper. Res. 56, 607, doi:10.1287/opre.1070.0496 (levels).
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 
 from jaxclear.studies.scrambling import scrambled_normal
@@ -51,10 +50,15 @@ def regressed(upper: np.ndarray, lower: np.ndarray) -> np.ndarray:
     return np.where(spread > 0, np.sum(one * other, axis=0) / np.where(spread > 0, spread, 1.0), 0)
 
 
-def with_difference(sample: Any, runs: Any, there: Any, shares: Any) -> Any:
-    """A large sample of what stands in, and runs (samples,) with `shares` [1] beside what stood
-    `there` for them: one sample whose weights add up to 1 and may be negative. `sample` has
-    `values` and `weights`."""
-    values = jnp.concatenate([sample.values, runs, there])
-    weights = jnp.concatenate([sample.weights, shares, -shares])
-    return sample._replace(values=values, weights=weights)
+def corrected_values(
+    values: np.ndarray, weights: np.ndarray, runs: np.ndarray, there: np.ndarray, shares: np.ndarray
+) -> np.ndarray:
+    """A large sample of what stands in, `values` (points,) with `weights` [1], each moved by the
+    difference between a run (runs,) and what stood `there` for it: that of its rank, so that each
+    run moves as much as its share (runs,) [1] and the mean is that of a control variate."""
+    by_rank, order = np.argsort(there, kind="stable"), np.argsort(values, kind="stable")
+    middles = np.cumsum(weights[order]) - 0.5 * weights[order]
+    rank = np.searchsorted(np.cumsum(shares[by_rank])[:-1], middles)
+    corrected = values.copy()
+    corrected[order] += (runs - there)[by_rank][rank]
+    return corrected
