@@ -190,6 +190,8 @@ def test_an_old_argument_works_and_warns_of_the_new_one():
         assert jaxclear.sensor.Series("speed", given=True).is_input
     with pytest.raises(TypeError, match="Series has no argument"):
         jaxclear.sensor.Series("speed", found=True)
+    with pytest.raises(TypeError, match='Series has no argument "given"'):
+        jaxclear.sensor.Series("speed", given=True, is_input=False)
 
 
 def test_an_old_member_works_and_warns_of_the_new_one():

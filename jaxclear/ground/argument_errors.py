@@ -75,7 +75,7 @@ def _with_new_members(name: str, bases: tuple, namespace: dict) -> dict:
 def with_new_arguments(owner: str, parameters: Container[str], args: dict) -> dict:
     """Arguments with their new names; warns of old ones, of which the `owner` is known."""
     for old, new in RENAMED_ARGUMENTS.items():
-        if old in args and old not in parameters and new in parameters:
+        if old in args and old not in parameters and new in parameters and new not in args:
             sentence = (
                 f"{old} of {owner} is called {new} now; the old name goes in the next version."
             )

@@ -382,7 +382,7 @@ def _check_slots(what: str, module: eqx.Module) -> None:
     for field in dataclasses.fields(module):
         value = getattr(module, field.name)
         if isinstance(value, eqx.Module):
-            _check_slots(f"{what}, {field.name},", value)
+            _check_slots(f"{what.removesuffix(',')}, {field.name},", value)
 
 
 def check_values(what: str, part: Any) -> None:
