@@ -301,8 +301,7 @@ class FixedStep(AbstractIntegrator):
         return self.steps_per_save is None and (self.method == "rk4" or same_step)
 
     def beyond_flanks(self, mechanism):
-        # By others than rk4 derivatives are those of a motion beside the steps, which is measured by
-        # the gaps of joints.
+        # Other methods than rk4 integrate the motion too, and measure it by the gaps of joints.
         return self.beyond_touches(mechanism) if self.method == "rk4" else FLANKS
 
     def _stepped(self, model, so_far):
