@@ -9,11 +9,14 @@ import gc
 import importlib
 import os
 import sys
+import time
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 import jax
 
+# The rest of the package is read after this [s since 1970].
+_READ_AFTER = time.time()
 # An option of XLA's CPU compiler, read when JAX first computes: loops over a state of up to 100 MB
 # (instead of 1 kB) become one kernel, where otherwise every operation of the body is dispatched by
 # itself. Steps of the four-bar that XLA ran were at least 7 times faster by it. Other
@@ -75,7 +78,7 @@ finally:
         gc.enable()
 
 if TYPE_CHECKING:
-    from jaxclear.offered_later import *
+    from jaxclear.lazy_names import *
 
 __version__ = installed("jaxclear")
 
@@ -192,7 +195,7 @@ __all__ = [
     "write_scene",
 ]
 _refused, __dir__ = nothing_else("jaxclear", __all__)
-# What `offered_later` offers; of it, what is a module.
+# What `lazy_names` offers; of it, what is a module.
 _LATER = set(__all__) - set(globals())
 _MODULES_LATER = (
     "catalogue",
@@ -219,7 +222,7 @@ if not TYPE_CHECKING:
     def __getattr__(name: str) -> Any:
         if name not in _LATER:
             return _refused(name)
-        later = importlib.import_module("jaxclear.offered_later")
+        later = importlib.import_module("jaxclear.lazy_names")
         globals().update((one, getattr(later, one)) for one in _LATER)
         _LATER.clear()
         _named(*_MODULES_LATER)

@@ -1,9 +1,11 @@
-"""What the slow tests take and whether they pass: CPU time of each file, and its longest test.
+"""What the slow tests take, or the fast ones, and whether they pass: CPU time of each file, and its
+longest test.
 
 `python -m benchmarks.claims.slow_suite --paths tests/laws tests/mesh --json
 benchmarks/results/slow_suite.json` runs these and renews their rows; a file is written as soon as
 it is through, so a run may be ended at any time. `--most 2` runs two tests at most of each
 parametrised function, evenly spread over its parameters; "of" is how many slow tests a file has.
+`--fast` runs the fast tests in their place, for benchmarks/results/fast_suite.json.
 """
 
 import json
@@ -24,15 +26,15 @@ class Durations:
         self.tests: dict[str, dict[str, float]] = {}
         self.failed: dict[str, list[str]] = {}
         self.skipped: dict[str, int] = {}
-        self.slow_tests: dict[str, int] = {}
+        self.chosen_tests: dict[str, int] = {}
 
     @pytest.hookimpl(trylast=True)
     def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
         functions: dict[str, list[pytest.Item]] = {}
         for item in items:
-            if item.get_closest_marker("slow") is not None:
+            if (item.get_closest_marker("slow") is None) == self.options.fast:
                 file = item.nodeid.partition("::")[0]
-                self.slow_tests[file] = self.slow_tests.get(file, 0) + 1
+                self.chosen_tests[file] = self.chosen_tests.get(file, 0) + 1
                 functions.setdefault(item.nodeid.partition("[")[0], []).append(item)
         if self.options.most is not None:
             chosen = {item for group in functions.values() for item in self.spread(group)}
@@ -66,7 +68,7 @@ class Durations:
         row = {
             "file": Path(file).name,
             "tests": len(spent),
-            "of": self.slow_tests[file],
+            "of": self.chosen_tests[file],
             "failed": len(self.failed.get(file, [])),
             "skipped": self.skipped.get(file, 0),
             "CPU [s]": round(sum(spent.values()), 1),
@@ -85,10 +87,12 @@ def main() -> None:
     options = arguments(
         __doc__ or "",
         paths={"nargs": "+", "default": ["tests"], "help": "files and folders of tests"},
+        fast={"action": "store_true", "help": "the fast tests in the place of the slow ones"},
         most={"type": int, "help": "so many tests at most of a parametrised function"},
     )
     paths = options.paths[:1] if options.quick else options.paths
-    with_options = ["-m", "slow", "-q", "-p", "no:cacheprovider", *map(str, map(Path, paths))]
+    kind = "not slow" if options.fast else "slow"
+    with_options = ["-m", kind, "-q", "-p", "no:cacheprovider", *map(str, map(Path, paths))]
     raise SystemExit(pytest.main(with_options, plugins=[Durations(options)]))
 
 

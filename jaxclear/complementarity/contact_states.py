@@ -125,7 +125,7 @@ def with_state_derivatives(problem: FrictionContact, r: Array) -> Array:
         posed = FrictionContact(matrix, offset, mu, problem.sizes, active)
         drift = jnp.stack([row @ r for row in d_matrix]) + d_offset
         unit, lines, change = _moved(posed, r, (jnp.where(posed.acts, drift, 0.0), d_mu), REGULAR)
-        solution = eliminate([jnp.append(line, -x) for line, x in zip(lines, change, strict=True)])
+        solution = eliminate(lines, -change)
         return unit * jnp.stack(solution)
 
     data = problem.delassus, problem.free_velocity, problem.mu, problem.active

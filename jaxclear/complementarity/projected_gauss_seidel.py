@@ -187,7 +187,7 @@ def _newton(problem: Scaled, r: tuple, in_kernel: bool) -> tuple:
     laws, lines = linearised(problem, r, 0.0, REGULAR)
     value = jnp.concatenate([law.value for law in laws])
     if in_kernel:
-        change = jnp.stack(eliminate([jnp.append(x, value[k]) for k, x in enumerate(lines)]))
+        change = jnp.stack(eliminate(lines, value))
     else:
         change = jnp.linalg.solve(jnp.stack(lines), value)
     ends = np.cumsum([len(part) for part in r]).tolist()

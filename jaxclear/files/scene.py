@@ -265,7 +265,10 @@ class Scene(AbstractQuantified):
     def _run_arguments(self) -> dict[str, Any]:
         """What `simulate` and `Problem` are given alike."""
         if self.duration is None:
-            raise ValueError("this scene states no duration and no positions; give it one [s].")
+            raise ValueError(
+                "this scene states no duration and no positions: give jaxclear.Scene(mechanism, "
+                "duration=...) one [s], or run jaxclear.simulate(scene.mechanism, duration)."
+            )
         state = resting_state(self.mechanism) if isinstance(self.state, str) else self.state
         arguments: dict[str, Any] = {"duration": self.duration, "state": state}
         return arguments if self.save is None else arguments | {"save": self.save}

@@ -14,21 +14,21 @@ from jaxtyping import Array, Float
 
 from jaxclear.components.clearance import ContactLaws
 from jaxclear.components.load import AbstractStateLoad
-from jaxclear.formulations import contacts_over_step, joint_friction, midpoint_step, state_rate
+from jaxclear.formulations import joint_friction, midpoint_step, state_rate
 from jaxclear.formulations.base import (
     AbstractFormulation,
     ContactReport,
     check_play,
     clearance_contact,
 )
-from jaxclear.formulations.contact_rows import TimeStep, contact_points, split
-from jaxclear.formulations.films_over_step import AXES, film_losses, films_of
+from jaxclear.formulations.contact_rows import TimeStep, contact_points
+from jaxclear.formulations.contacts_over_step import damped, damped_forces, laws_of_contacts
+from jaxclear.formulations.films_over_step import film_losses, films_of
 from jaxclear.formulations.impact_speed import ContactMotion, remembered
 from jaxclear.formulations.joint_friction import friction_losses, rubbing
 from jaxclear.formulations.laws_over_step import PastSlip
-from jaxclear.formulations.midpoint_step import WarmStart
 from jaxclear.formulations.model import Instant, Model, State
-from jaxclear.formulations.permanent_reactions import REACTION, Reaction, sliding_rates, touching
+from jaxclear.formulations.permanent_reactions import sliding_rates, touching
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.compiling import map_grouped
 from jaxclear.ground.grouping import unstacked
@@ -36,7 +36,6 @@ from jaxclear.multibody import contact_point, kinematics
 from jaxclear.multibody.damped_stops import forces_at, with_damping_ratios
 from jaxclear.multibody.forces import Forces, contact_reports, pressing_of, relative_motions
 from jaxclear.multibody.state import (
-    components,
     impact_speed_places,
     pack_memories,
     unpack_followed,
@@ -196,7 +195,7 @@ class CompliantContact(AbstractFormulation):
         Args:
             model: the mechanism, a `Model`.
         """
-        return bool(model.layout.plays) or contacts_over_step.damped(model.system)
+        return bool(model.layout.plays) or damped(model.system)
 
     def normal_forces(self, model: Model, state: State, motion: ContactMotion) -> Any:
         """Normal force of every possible contact that damps; of flanks of play the torque.
@@ -209,17 +208,15 @@ class CompliantContact(AbstractFormulation):
         Returns:
             forces [N; N m of flanks], an array.
         """
-        if not model.layout.plays:
-            return contacts_over_step.normal_forces(model, state, motion)
-        count, forces = model.layout.joint_contacts, []
-        if count:
-            joints = ContactMotion(*(each[:count] for each in motion))
-            forces.append(contacts_over_step.normal_forces(model, state, joints))
-        for i, name in enumerate(model.layout.plays):
-            part = slice(count + 2 * i, count + 2 * i + 2)
-            flanks = motion.depths[part], motion.rates[part]
-            forces.append(torque_on_flanks(model.system.transmissions[name], *flanks))
-        return jnp.concatenate(forces)
+        system, (depths, rates) = model.system, motion
+        places = impact_speed_places(model.layout)
+        speeds = [None if place is None else state[place] for place in places]
+        forces = damped_forces(laws_of_contacts(system), depths, rates, speeds)
+        for name in model.layout.plays:
+            flanks = range(len(forces), len(forces) + 2)
+            train = system.transmissions[name]
+            forces += [torque_on_flanks(train, depths[k], rates[k]) for k in flanks]
+        return jnp.asarray(sp.stack(forces))
 
     def slips(self, model: Model, time: Any, state: State) -> Float[Array, "contacts 3"]:
         """Sliding velocity of every possible contact along its sliding directions, from the
@@ -318,20 +315,18 @@ class CompliantContact(AbstractFormulation):
         entries = model.entries(state)
         motions = kinematics.link_motions(model.system, *unpack_motion(model.system, entries), time)
         _, points = contact_points(model, motions)
-        depths = [point.gap_function.indentation for point in points]
         slips = [
-            x
+            tuple(PastSlip(0.0, slip.value, slip.value) for slip in point.acting[1:])
             for point in points
-            for slip in point.acting[1:]
-            for x in PastSlip(0.0, slip.value, slip.value)
         ]
-        speeds = jnp.zeros(2 * model.layout.speeds)
-        reactions = sp.stack(self._reactions(model, time, entries))
-        forces = jnp.zeros(len(depths) if self.damped(model) else 0)
-        surplus = jnp.zeros(model.layout.speeds if depths else 0)
-        films = jnp.zeros(AXES * len(films_of(model.system)))
-        parts = speeds, sp.stack(depths), sp.stack(slips), reactions, films, surplus, forces
-        return jnp.concatenate(parts)
+        start = midpoint_step.blank_start(model)._replace(
+            depths=[point.gap_function.indentation for point in points], slips=slips
+        )
+        if rubbing_joints(model.system):
+            forces, q, _ = _acting(model, time, entries)
+            reactions = joint_friction.rubbing(model, forces, q).answer.reactions
+            start = start._replace(reactions=reactions)
+        return sp.stack(jax.tree.leaves(start))
 
     def caused_by_contact(self, model: Model, time: Any, state: State) -> tuple:
         """Accelerations without contact, and what contact adds to them, where a run begins.
@@ -350,14 +345,6 @@ class CompliantContact(AbstractFormulation):
         at = lambda shares: self.rate(model, time, state, shares)[0][place]
         free, total = jax.lax.map(at, jnp.stack([jnp.zeros_like(closed), closed]))
         return free, total - free
-
-    def _reactions(self, model: Model, time: Any, entries: list) -> list:
-        """Numbers of the reactions of ideal joints that rub."""
-        if not rubbing_joints(model.system):
-            return []
-        forces, q, _ = _acting(model, time, entries)
-        reactions = joint_friction.rubbing(model, forces, q).answer.reactions
-        return [x for reaction in reactions for part in reaction for x in part]
 
     def implicit_step(
         self,
@@ -382,31 +369,11 @@ class CompliantContact(AbstractFormulation):
         Returns:
             the state at the end, an array (n,), and the warm start of the next step, an array.
         """
-        count = model.layout.speeds
-        numbers = unstacked(warm_start)
-        directions = [
-            count - 1
-            for bearing in model.system.bearings.values()
-            for count in components(model.system, bearing)
-        ]
-        rubbing = len(rubbing_joints(model.system))
-        counts = [count, count, len(directions), 3 * sum(directions), REACTION * rubbing]
-        films = len(films_of(model.system))
-        counts += [AXES * films, count if directions else 0]
-        smooth, contact, depths, slips, reactions, squeezes, surplus = split(numbers, counts)
-        before = [Reaction(row[:3], row[3:]) for row in split(reactions, [REACTION] * rubbing)]
-        past = [PastSlip(*slip) for slip in split(slips, [3] * sum(directions))]
-        motion = list(smooth), list(contact), list(depths)
-        friction = split(past, directions), tuple(before)
-        squeezes = tuple(split(squeezes, [AXES] * films))
-        last = WarmStart(*motion, *friction, surplus=list(surplus), films=squeezes)
+        form = jax.tree.structure(midpoint_step.blank_start(model))
+        last = jax.tree.unflatten(form, unstacked(warm_start))
         entries, how = model.entries(state), (bias, newton_iterations)
         after, now = midpoint_step.step(model, time_step, entries, last, *how)
-        flat = [x for contact in now.slips for slip in contact for x in slip]
-        flat += [x for row in now.reactions for part in row for x in part]
-        flat += [x for row in now.films for x in row]
-        handed_on = [*now.smooth, *now.contact, *now.depths, *flat, *now.surplus, *now.forces]
-        return sp.stack(after), sp.stack(handed_on)
+        return sp.stack(after), sp.stack(jax.tree.leaves(now))
 
 
 def _row_motions(model: Model, time: Any, state: State, flanks: Any = None) -> list[tuple]:
@@ -420,8 +387,7 @@ def _row_motions(model: Model, time: Any, state: State, flanks: Any = None) -> l
         for (name, bearing), motion in zip(bearings, relative, strict=True)
     ]
     points = [row for joint in map_grouped(contact_point.point_motions, calls) for row in joint]
-    laws = [law for bearing in system.bearings.values() for law in bearing.contact_laws]
-    rubs = [law.friction is not None for law in laws]
+    rubs = [law.friction is not None for law in laws_of_contacts(system)]
     rows = [(*row[:2], row[2] if rub else ()) for rub, row in zip(rubs, points, strict=True)]
     if model.layout.plays:
         followed = unpack_followed(model.layout, entries, flanks)

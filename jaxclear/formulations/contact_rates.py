@@ -27,7 +27,6 @@ from jaxclear.multibody.closure_coordinates import angles_at_start
 from jaxclear.multibody.kinematics import along
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.state import Followed, unpack_motion
-from jaxclear.multibody.system import prepare
 from jaxclear.native.compiled import compiled_quickly
 
 # Instants of a run at which its loads are looked at.
@@ -44,15 +43,15 @@ class ContactRates(NamedTuple):
     where they are stiffer), `damping` [1/s] and `friction` [1/s], under the `force` [N] that closes
     the clearance."""
 
-    force: float
-    contact: float
-    damping: float
-    friction: float
+    force: Any
+    contact: Any
+    damping: Any
+    friction: Any
 
 
 class _Pressed(NamedTuple):
-    """Of each contact of a joint: acceleration [m/s^2] that presses it and inverse of the mass
-    [1/kg] along its normal and across; and how far [m] the joint must close."""
+    """Of each contact of a joint, or of one: acceleration [m/s^2] that presses it and inverse of
+    the mass [1/kg] along its normal and across; and how far [m] the joint must close."""
 
     acceleration: Any
     lightness: Any
@@ -64,63 +63,44 @@ def contact_rates(mechanism: Mechanism, duration: float, step: float) -> dict[st
     """Rates of every clearance joint with a compliant law, in a run of `duration` [s] with steps of
     `step` [s] (over which friction that remembers is taken)."""
     # A drive takes its link to where the others, which stay at their start, cannot follow.
-    times = jnp.zeros(1) if mechanism.driven else jnp.linspace(0.0, duration, INSTANTS)
-    bearings, result = prepare(mechanism).bearings, {}
-    for name, at_times in _pressed(*ready(mechanism)[:2], times).items():
-        loads = np.asarray(at_times.acceleration / jnp.maximum(at_times.lightness, LEAST_LIGHTNESS))
-        worst = int(np.argmax(np.max(loads, axis=1)))
-        pressed = _Pressed(*(np.asarray(part)[worst] for part in at_times))
-        at, lightness, across = (part.tolist() for part in pressed[:3])
-        travel = float(pressed.travel)
-        each = [
-            _rates(laws, at[k], lightness[k], across[k], travel, step)
-            for k, laws in enumerate(bearings[name].contact_laws)
-            if laws.contact.compliant
-        ]
-        if each:
-            result[name] = max(each, key=lambda rates: rates.force)
-    return result
+    times = np.zeros(1) if mechanism.driven else np.linspace(0.0, duration, INSTANTS)
+    rates = _rates_of_joints(*ready(mechanism)[:2], times, np.asarray(step))
+    return {name: ContactRates(*map(float, joint_rates)) for name, joint_rates in rates.items()}
 
 
-def _rates(
-    laws: ContactLaws,
-    acceleration: float,
-    lightness: float,
-    across: float,
-    travel: float,
-    step: float,
-) -> ContactRates:
-    """Rates of a contact that an acceleration [m/s^2] presses through its clearance."""
-    if not (acceleration > 0 and lightness > 0):
-        return ContactRates(0.0, 0.0, 0.0, 0.0)
-    depths = jnp.asarray(DEPTHS)
-    forces = np.asarray(jax.vmap(laws.contact.elastic_force)(depths))
-    work = np.concatenate([[0.0], np.cumsum(0.5 * (forces[1:] + forces[:-1]) * np.diff(DEPTHS))])
-    load = acceleration / lightness
-    resting = depths[min(int(np.searchsorted(forces, load)), len(DEPTHS) - 1)]
-    deepest = min(int(np.argmax(work >= load * (travel + DEPTHS))) or -1, len(DEPTHS) - 2)
-    force, depth = float(forces[deepest]), depths[deepest]
+def _rates(laws: ContactLaws, pressed: _Pressed, step: Any) -> ContactRates:
+    """Rates of a contact that is `pressed` through its clearance."""
+    depths, lightness = jnp.asarray(DEPTHS), pressed.lightness
+    forces = jax.vmap(laws.contact.elastic_force)(depths)
+    work = jnp.cumsum(0.5 * (forces[1:] + forces[:-1]) * np.diff(DEPTHS))
+    load = safe_divide(pressed.acceleration, lightness)
+    resting = depths[jnp.minimum(jnp.searchsorted(forces, load), len(DEPTHS) - 1)]
+    is_stopped = work >= load * (pressed.travel + depths[1:])
+    deepest = jnp.minimum(1 + jnp.argmax(is_stopped), len(DEPTHS) - 2)
+    deepest = jnp.where(jnp.any(is_stopped), deepest, len(DEPTHS) - 1)
+    force, depth = forces[deepest], depths[deepest]
     stiffness = jax.grad(laws.contact.elastic_force)(depth)
     damping = jax.grad(laws.contact.normal_force, argnums=1)(resting, 0.0, 0.0)
     slope, spring = 0.0, 0.0
     if laws.friction is not None and not laws.friction.set_valued:
-        slope, double = (float(laws.friction.largest_slope(n * step)) for n in (1, 2))
+        slope, double = (laws.friction.largest_slope(n * step) for n in (1, 2))
         # Bristles are springs: their force over a step grows with half its length.
         spring = force * (double - slope) * 2 / step
-    return ContactRates(
-        force,
-        float(np.sqrt(max(stiffness * lightness, spring * across))),
-        float(damping) * lightness,
-        force * slope * across,
-    )
+    contact = jnp.sqrt(jnp.maximum(stiffness * lightness, spring * pressed.across))
+    rates = force, contact, damping * lightness, force * slope * pressed.across
+    is_pressed = (pressed.acceleration > 0) & (lightness > 0)
+    return ContactRates(*(jnp.where(is_pressed, rate, 0.0) for rate in rates))
 
 
 @compiled_quickly
-def _pressed(mechanism: Mechanism, start: Start, times: Any) -> dict[str, _Pressed]:
-    """By clearance joint what presses its contacts at the start, under the loads of each of these
-    times."""
+def _rates_of_joints(
+    mechanism: Mechanism, start: Start, times: Any, step: Any
+) -> dict[str, ContactRates]:
+    """By clearance joint the rates of the contact that is pressed hardest at the start, under the
+    loads of each of these times."""
     model = model_of(mechanism, CompliantContact())
     q, v = unpack_motion(model.system, [*start.coordinates, *start.speeds])
+    bearings = model.system.bearings
 
     def at(time):
         motions = kinematics.link_motions(model.system, q, v, time)
@@ -129,10 +109,23 @@ def _pressed(mechanism: Mechanism, start: Start, times: Any) -> dict[str, _Press
         free = delassus.delassus_operator(now, []).free
         return {
             name: _of_joint(bearing, model.system, motions, now, free)
-            for name, bearing in model.system.bearings.items()
+            for name, bearing in bearings.items()
         }
 
-    return jax.vmap(at)(times)
+    result = {}
+    for name, pressed in jax.vmap(at)(times).items():
+        loads = pressed.acceleration / jnp.maximum(pressed.lightness, LEAST_LIGHTNESS)
+        *parts, travel = (part[jnp.argmax(jnp.max(loads, axis=1))] for part in pressed)
+        rates = [
+            _rates(laws, _Pressed(*[*(part[k] for part in parts), travel]), step)
+            for k, laws in enumerate(bearings[name].contact_laws)
+            if laws.contact.compliant
+        ]
+        if rates:
+            by_contact = ContactRates(*map(jnp.stack, zip(*rates, strict=True)))
+            hardest = jnp.argmax(by_contact.force)
+            result[name] = ContactRates(*(rate[hardest] for rate in by_contact))
+    return result
 
 
 def _of_joint(bearing, system, motions, now, free) -> _Pressed:

@@ -3,8 +3,6 @@ and energies by the mean forces with which the step was made."""
 
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
-
 from jaxclear.components.clearance import ContactLaws
 from jaxclear.formulations import laws_over_step
 from jaxclear.formulations.contact_rows import (
@@ -16,10 +14,9 @@ from jaxclear.formulations.contact_rows import (
     split,
 )
 from jaxclear.formulations.delassus import ContactSolution, ImplicitContact
-from jaxclear.formulations.films_over_step import AXES, FilmOverStep, film_losses, with_films
-from jaxclear.formulations.impact_speed import ContactMotion, PerContact
+from jaxclear.formulations.films_over_step import FilmOverStep, film_losses, with_films
 from jaxclear.formulations.laws_over_step import Averaging, SlipAtStart
-from jaxclear.formulations.model import Model, State
+from jaxclear.formulations.model import Model
 from jaxclear.formulations.permanent_reactions import Reaction
 from jaxclear.formulations.rubbing_over_step import JointOverStep, friction, rubbed
 from jaxclear.formulations.shafts_over_step import ShaftOverStep
@@ -34,7 +31,7 @@ from jaxclear.ground.numerics import positive_part
 from jaxclear.multibody import kinematics
 from jaxclear.multibody.contact_point import ActingContact, PointState, impact_speed_now
 from jaxclear.multibody.damped_stops import forces_at
-from jaxclear.multibody.state import impact_speed_places, pack_memories, unpack_motion
+from jaxclear.multibody.state import pack_memories, unpack_motion
 from jaxclear.multibody.system import System
 
 
@@ -53,7 +50,7 @@ class ContactOverStep(NamedTuple):
 
 
 class Step(NamedTuple):
-    """All that a step starts from."""
+    """All that a step starts from; rows of contacts come first, then those of `others`."""
 
     model: Model
     time_step: TimeStep
@@ -72,13 +69,19 @@ class Step(NamedTuple):
             others = contact.point.active - 1
             out.append(self.averaging.reach)
             out += [contact.braking.reach] * others if others else []
-        out += [joint.reach for joint in self.joints for _ in joint.rates]
-        return out + [self.averaging.reach] * (len(self.shafts) + AXES * len(self.films))
+        return out + [other.reaches[0] for other in self.others for _ in other.rates]
 
-    def per_joint(self, values: Any) -> list[tuple]:
-        """One value per row with a force, as one tuple per ideal joint that rubs."""
+    @property
+    def others(self) -> tuple[Any, ...]:
+        """Ideal joints that rub, couplings with stiffness, films: of each the `rates` of its rows,
+        changes of these by accelerations that contact adds, and by others (`reaches` [s]), and the
+        law about mean rates, `linear(rates)`."""
+        return (*self.joints, *self.shafts, *self.films)
+
+    def per_other(self, values: Any) -> list[tuple]:
+        """One value per row with a force, as one tuple for each of the others."""
         first = sum(contact.point.active for contact in self.contacts)
-        return split(values[first:], [len(joint.rates) for joint in self.joints])
+        return split(values[first:], [len(other.rates) for other in self.others])
 
     def per_contact(self, values: Any) -> list[tuple]:
         """One value per row with a force, as one tuple per contact."""
@@ -137,7 +140,7 @@ def passive_rates_over(
     total = link_accelerations(system, accelerations, tuple(multipliers))
     passive, reactions = Passive(), tuple[Reaction, ...]()
     if step.joints:
-        rubbing = friction(step.joints, step.per_joint(solution.forces), change), change
+        rubbing = friction(step.joints, step.per_other(solution.forces), change), change
         # The accelerations contain the joints' friction, so the power of a drive asks for it too.
         passive, reactions, forces = rubbed(model, step.joints, forces, step.middle, total, rubbing)
     return passive_rates(system, layout, forces, total, passive, pressing), reactions
@@ -182,33 +185,32 @@ def follows_depth(laws: ContactLaws) -> bool:
 
 def damped(system: System) -> bool:
     """Whether some contact's largest force is not told by its depth."""
-    return not all(map(follows_depth, _laws(system)))
+    return not all(map(follows_depth, laws_of_contacts(system)))
 
 
-def normal_forces(model: Model, state: State, motion: ContactMotion) -> PerContact:
+def damped_forces(laws: list[ContactLaws], depths: Any, rates: Any, impact_speeds: Any) -> list:
     """Normal force [N] of every possible contact that damps, 0 of the others, from its motion and
-    the impact speed that the state remembers."""
-    places = impact_speed_places(model.layout)
-    speeds = (None if place is None else state[place] for place in places)
-    each = zip(_laws(model.system), motion.depths, motion.rates, speeds, strict=True)
-    return jnp.asarray(sp.stack([_damped_force(*contact) for contact in each]))
+    the impact speed that is remembered."""
+    forces: list[Any] = []
+    for law, depth, rate, speed in zip(laws, depths, rates, impact_speeds, strict=False):
+        if follows_depth(law):
+            forces.append(0.0)
+        else:
+            forces.append(law.contact.normal_force(depth, rate, impact_speed_now(speed, rate)))
+    return forces
 
 
-def forces_at_start(system: System, contacts: list[ContactOverStep], faster: list) -> tuple:
+def forces_at_start(system: System, contacts: list[ContactOverStep], faster: list) -> list:
     """The same where an implicit step begins with these contacts, which close faster than their
-    speeds tell (`midpoint_step`) [m/s]; () where none damps."""
-    each = zip(contacts, faster, strict=True)
-    return tuple(
-        _damped_force(c.point.laws, c.depth, sp.add(c.approach, more), c.memory.impact_speed)
-        for c, more in (each if damped(system) else ())
-    )
+    speeds tell (`midpoint_step`) [m/s]; none where none damps."""
+    if not damped(system):
+        return []
+    rates = [sp.add(c.approach, more) for c, more in zip(contacts, faster, strict=True)]
+    speeds = [contact.memory.impact_speed for contact in contacts]
+    laws, depths = [c.point.laws for c in contacts], [c.depth for c in contacts]
+    return damped_forces(laws, depths, rates, speeds)
 
 
-def _damped_force(laws: ContactLaws, depth: Any, rate: Any, impact_speed: Any) -> Any:
-    if follows_depth(laws):
-        return 0.0
-    return laws.contact.normal_force(depth, rate, impact_speed_now(impact_speed, rate))
-
-
-def _laws(system: System) -> list[ContactLaws]:
+def laws_of_contacts(system: System) -> list[ContactLaws]:
+    """Of every possible contact, in the order of the state."""
     return [laws for bearing in system.bearings.values() for laws in bearing.contact_laws]

@@ -14,8 +14,9 @@ import jax
 import jax.numpy as jnp
 
 from jaxclear.components.journal_film import JournalFilm, film_of
-from jaxclear.formulations.contact_rows import MiddleOfStep, TimeStep, split
+from jaxclear.formulations.contact_rows import MiddleOfStep, split
 from jaxclear.formulations.delassus import ContactSolution, ImplicitContact, LinearLaws
+from jaxclear.formulations.laws_over_step import Averaging
 from jaxclear.formulations.model import Model
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.factorisation import eliminate
@@ -34,29 +35,33 @@ UNITS = (1, 0, 0), (0, 1, 0), (0, 0, 1)
 
 
 class FilmOverStep(NamedTuple):
-    """A film over a step of a `length` [s]: where its forces act, on an `arm` that is the journal's
-    offset in the middle [m] as far as it is known, the `rates` along these (the squeeze velocity
-    there), the journal's offset as the step begins [m], the relative `spin` [rad/s], and the mean
-    velocity of the journal in the step before [m/s], 0 if there was none."""
+    """A film over a step: where its forces act, on an `arm` that is the journal's offset in the
+    middle [m] as far as it is known, the `rates` along these (the squeeze velocity there), the
+    journal's offset as the step begins [m], the relative `spin` [rad/s], and the mean velocity of
+    the journal in the step before [m/s], 0 if there was none."""
 
     name: str
     film: JournalFilm
     directions: tuple[Direction, ...]
     rates: tuple[LinearRate, ...]
-    start: tuple
+    first: tuple
     arm: tuple
     spin: Any
     last: tuple
-    length: Any
+    reaches: tuple
+
+    def linear(self, rates: tuple) -> LinearLaws:
+        """None: films are solved for behind what is linear (`solve_with_films`)."""
+        return LinearLaws(*[[0.0] * AXES] * 3)
 
     def tangent(self, rates: tuple, frozen: Any) -> tuple[tuple, list]:
         """Forces at mean rates, and by how much each falls with each rate; the journal where the
         rates lead, or where `frozen` where those of the step before do."""
-        half = 0.5 * self.length
+        half = self.reaches[1]
 
         def force(rates):
             half_spin, before = turning(self.arm, self.spin), self.last
-            moved = zip(self.start, rates, half_spin, before, strict=True)
+            moved = zip(self.first, rates, half_spin, before, strict=True)
             offset = tuple(x + half * jnp.where(frozen, v, r + t) for x, r, t, v in moved)
             off_arm = zip(rates, half_spin, turning(offset, self.spin), strict=True)
             return self.film.squeeze_force(offset, tuple(r + t - now for r, t, now in off_arm))
@@ -118,16 +123,17 @@ def without_films(model: Model) -> Model:
 
 
 def films_over_step(
-    system: System, middle: MiddleOfStep, past: tuple, time_step: TimeStep
+    system: System, middle: MiddleOfStep, past: list, start: Any, averaging: Averaging
 ) -> tuple[FilmOverStep, ...]:
-    """The films over a step; `past`: mean velocities of their journals in the step before."""
-    time, length = time_step
+    """The films over a step from a time `start` [s]; `past`: mean velocities of their journals in
+    the step before."""
+    half = 0.5 * averaging.length
     films, result = films_of(system), []
     if not films:
         return ()
     motions = middle.free_motion.forces.motions
     motion = unpack_motion(system, [*middle.q, *middle.v])
-    start_motions = kinematics.link_motions(system, *motion, time)
+    start_motions = kinematics.link_motions(system, *motion, start)
     for (name, film), last in zip(films.items(), past, strict=True):
         closure = system.load_closures[name]
         pose = kinematics.relative_motion(closure, motions)[1]
@@ -138,12 +144,13 @@ def films_over_step(
 
         units = [along(*unit).linear_rate(system, motions) for unit in UNITS]
         spin = units[-1].value
-        start = kinematics.relative_motion(closure, start_motions)[1].translation[:AXES]
-        arm = tuple(x + 0.5 * length * v for x, v in zip(start, last, strict=True))
+        first = kinematics.relative_motion(closure, start_motions)[1].translation[:AXES]
+        arm = tuple(x + half * v for x, v in zip(first, last, strict=True))
         sizes = (1, 0, 0.5 * arm[1]), (0, 1, -0.5 * arm[0])
         rates = tuple(combine_rates(size, units) for size in sizes)
         directions = tuple(along(*size) for size in sizes)
-        result.append(FilmOverStep(name, film, directions, rates, start, arm, spin, last, length))
+        places = first, arm, spin, last
+        result.append(FilmOverStep(name, film, directions, rates, *places, averaging.reaches))
     return tuple(result)
 
 
@@ -173,7 +180,7 @@ def solve_with_films(
             matrix.append([g + float(AXES * k + i == j) for j, g in enumerate(gain)])
             difference = [base.rates[r] - about[m] for m, r in enumerate(rows)]
             right.append(forces[i] - sp.dot(falls[i], difference))
-    sizes = eliminate([sp.stack([*row, x]) for row, x in zip(matrix, right, strict=True)])
+    sizes = eliminate(matrix, right)
     add = lambda part: [
         sp.add(x, sp.dot(sizes, [getattr(response, part)[i] for response in responses]))
         for i, x in enumerate(getattr(base, part))
@@ -211,7 +218,7 @@ def velocity_lag(
         for j in range(size - len(rows), size)
     ]
     matrix = [[kinematics.along(row, column) for column in columns] for row in rows]
-    sizes = eliminate([sp.stack([*row, x]) for row, x in zip(matrix, lags, strict=True)])
+    sizes = eliminate(matrix, lags)
     return [sp.dot(sizes, entries) for entries in zip(*columns, strict=True)]
 
 

@@ -61,8 +61,14 @@ def braking(laws: ContactLaws, h: Any, bias: Any, depth: Any, lightnesses: list)
     lightness = sp.total(lightnesses) / len(lightnesses)
     strength = laws.contact.elastic_force(depth) * laws.friction.largest_slope(h)
     braked = h * lightness * strength
-    theta = jnp.maximum(0.5 * (1 + bias), 1 - 1 / jnp.maximum(braked, 1.0))
+    theta = taken_after(bias, braked)
     return Braking(theta, theta * h, theta * h * lightness)
+
+
+def taken_after(bias: Any, braked: Any) -> Any:
+    """The share of a step after which friction is taken that would brake, at its steepest, so much
+    of a slip in it [1]."""
+    return jnp.maximum(0.5 * (1 + bias), 1 - 1 / jnp.maximum(braked, 1.0))
 
 
 def at_start(now: tuple, past: tuple, depth: Any) -> tuple[SlipAtStart, ...]:
@@ -132,6 +138,11 @@ class Averaging(NamedTuple):
     def reach(self) -> Any:
         """Change of a mean rate by the acceleration that contact adds [s]."""
         return 0.5 * (1 + self.bias) * self.length
+
+    @property
+    def reaches(self) -> tuple[Any, Any]:
+        """That, and the same of an acceleration without contact [s]."""
+        return self.reach, 0.5 * self.length
 
 
 def mean_force(

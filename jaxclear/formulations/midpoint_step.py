@@ -21,6 +21,7 @@ from jaxclear.formulations.contact_rows import MiddleOfStep, TimeStep, by_joint
 from jaxclear.formulations.contacts_over_step import (
     ContactOverStep,
     Step,
+    damped,
     forces_at_start,
     memories_after,
     passive_rates_over,
@@ -28,6 +29,7 @@ from jaxclear.formulations.contacts_over_step import (
 from jaxclear.formulations.delassus import ContactSolution, LinearLaws, implicit_contact
 from jaxclear.formulations.films_over_step import (
     AXES,
+    films_of,
     films_over_step,
     per_film,
     solve_with_films,
@@ -38,7 +40,7 @@ from jaxclear.formulations.impact_speed import taken_in_flight
 from jaxclear.formulations.laws_over_step import Averaging, PastSlip
 from jaxclear.formulations.model import Model
 from jaxclear.formulations.permanent_reactions import Reaction
-from jaxclear.formulations.rubbing_over_step import damping, joints_over_step
+from jaxclear.formulations.rubbing_over_step import joints_over_step
 from jaxclear.formulations.shafts_over_step import shafts_over_step
 from jaxclear.formulations.state_rate import drift
 from jaxclear.ground import sparse as sp
@@ -46,7 +48,8 @@ from jaxclear.ground.compiling import map_grouped, map_many
 from jaxclear.ground.grouping import MANY, unstacked
 from jaxclear.ground.numerics import positive_part, safe_divide, safe_sqrt
 from jaxclear.multibody.kinematics import JacobianRow, along
-from jaxclear.multibody.state import unpack_memories, unpack_motion
+from jaxclear.multibody.state import components, unpack_memories, unpack_motion
+from jaxclear.multibody.system import rubbing_joints
 from jaxclear.multibody.transmissions import within_gaps
 
 # Weight of the depth of closed contacts against staying put, where coordinates are corrected.
@@ -80,18 +83,35 @@ def read_by(row: JacobianRow, *vectors: Sequence[Any]) -> RowRead:
 class WarmStart(NamedTuple):
     """What a step hands on to the next: free accelerations without contact, what contact adds, the
     last indentations, of each sliding direction of each contact friction and slip, the reactions of
-    ideal joints that rub, the normal forces [N] at its start where some contact damps, its
-    `surplus`, and the mean velocity [m/s] of the journal in each film.
+    ideal joints that rub, the mean velocity [m/s] of the journal in each film, its `surplus` where
+    there are contacts, and the normal forces [N] at its start where some contact damps.
     """
 
     smooth: list
     contact: list
     depths: list
     slips: list[tuple[PastSlip, ...]]
-    reactions: tuple[Reaction, ...] = ()
-    forces: tuple = ()
-    surplus: Sequence = ()
-    films: tuple = ()
+    reactions: tuple[Reaction, ...]
+    films: list[tuple]
+    surplus: list
+    forces: list
+
+
+def blank_start(model: Model) -> WarmStart:
+    """That of a step before which nothing is known."""
+    system, still = model.system, [0.0] * model.layout.speeds
+    counts = [n - 1 for b in system.bearings.values() for n in components(system, b)]
+    none = [0.0] * len(counts)
+    return WarmStart(
+        smooth=still,
+        contact=still,
+        depths=none,
+        slips=[(PastSlip(0.0, 0.0, 0.0),) * count for count in counts],
+        reactions=(Reaction((0.0,) * 3, (0.0,) * 3),) * len(rubbing_joints(system)),
+        films=[(0.0,) * AXES] * len(films_of(system)),
+        surplus=still if counts else [],
+        forces=none if damped(system) else [],
+    )
 
 
 def step(
@@ -104,13 +124,15 @@ def step(
     averaging, model = Averaging(h, bias), without_films(model)
     accelerations = sp.each(lambda a, b: a + b, last.smooth, last.contact)
     middle = contact_rows.middle_of_step(model, time_step, entries, accelerations)
-    shafts, free_motion = shafts_over_step(model, middle.free_motion, middle.change_to(middle.v), h)
+    shafts, free_motion = shafts_over_step(
+        model, middle.free_motion, middle.change_to(middle.v), averaging
+    )
     middle = middle._replace(free_motion=free_motion)
     joints = joints_over_step(model, middle, last.reactions, averaging)
-    further = [x.row for joint in joints for x in joint.rates]
-    further += [shaft.rate.row for shaft in shafts]
-    films = films_over_step(model.system, middle, last.films, time_step)
-    further += [rate.row for film in films for rate in film.rates]
+    films = films_over_step(model.system, middle, last.films, time_step.start, averaging)
+    further = [
+        rate.row for each in (joints, shafts, films) for other in each for rate in other.rates
+    ]
     equations = implicit_contact(middle.free_motion, further)
     contacts = _contacts_at_start(model, averaging, middle, equations.free, entries, last)
     step = Step(model, time_step, averaging, middle, contacts, equations, joints, shafts, films)
@@ -145,8 +167,7 @@ def step(
         rows = len(solution.rates)
         lag = velocity_lag(model.system, films, (time_step.end, q, fast), means, equations, rows)
         faster = [sp.add(x, more / h) for x, more in zip(faster, lag, strict=True)]
-    carried = reactions, pressed, faster, tuple(means)
-    return after, WarmStart(free, caused, depths, past, *carried)
+    return after, WarmStart(free, caused, depths, past, reactions, means, faster, pressed)
 
 
 def surplus(bias: Any, free: list, caused: list) -> list:
@@ -215,7 +236,7 @@ def _first_rates(step: Step, last: list) -> tuple[list, list, list]:
     A contact that is closed at the start sets out from the forces of the step before, one that is
     open from where an impact would end.
     """
-    h, free = step.averaging.length, step.equations.free
+    free = step.equations.free
     unmoved: list[Any] = []
     first: list[Any] = []
     forces: list[Any] = []
@@ -248,18 +269,14 @@ def _first_rates(step: Step, last: list) -> tuple[list, list, list]:
             first.append(initial)
             forces.append(force)
     back = step.middle.change_to(step.middle.v)
-    further = [(rate, joint.reach, joint.reach) for joint in step.joints for rate in joint.rates]
-    further += [(shaft.rate, 0.5 * h, step.averaging.reach) for shaft in step.shafts]
-    further += [(r, 0.5 * h, step.averaging.reach) for film in step.films for r in film.rates]
-    for rate, time, reach in further:
+    for rate, (reach, time) in ((r, other.reaches) for other in step.others for r in other.rates):
         unmoved.append(sp.add(rate.at(back), time * along(rate.row, free)))
         first.append(sp.add(unmoved[-1], reach * along(rate.row, last)))
         forces.append(0.0)
     if step.films:
-        pairs = zip(step.films, per_film(step.films, unmoved), strict=True)
+        films = zip(step.films, per_film(step.films, unmoved), strict=True)
         first = first[: -AXES * len(step.films)]
-        for film, free_rates in pairs:
-            first += film.first_rates(free_rates)
+        first += [rate for film, free_rates in films for rate in film.first_rates(free_rates)]
     return unmoved, first, forces
 
 
@@ -315,17 +332,10 @@ def _linear_laws(step: Step, rates: list, forces: list) -> LinearLaws:
     result = [tangent for joint in map_grouped(tangents, calls) for tangent in joint]
     forces = [force for pushes, _ in result for force in pushes]
     dampings = [damping for _, falls in result for damping in falls]
-    about = list(rates[: len(forces)])
-    for joint, speeds in zip(step.joints, step.per_joint(rates), strict=True):
-        dampings += [damping(joint, speeds)] * len(speeds) if speeds else []
-        forces, about = forces + [0.0] * len(speeds), about + [0.0] * len(speeds)
-    twists = rates[len(forces) : len(forces) + len(step.shafts)]
-    for shaft, rate in zip(step.shafts, twists, strict=True):
-        force, falls = shaft.law(rate)
-        forces, dampings, about = [*forces, force], [*dampings, falls], [*about, rate]
-    films = [0.0] * (AXES * len(step.films))
-    forces, dampings, about = forces + films, dampings + films, about + films
-    return LinearLaws(forces, dampings, about)
+    laws = LinearLaws(forces, dampings, list(rates[: len(forces)]))
+    for other, speeds in zip(step.others, step.per_other(rates), strict=True):
+        laws = LinearLaws(*([*a, *b] for a, b in zip(laws, other.linear(speeds), strict=True)))
+    return laws
 
 
 def _settle(step: Step, solution: ContactSolution, q: list, v: list) -> tuple[list, list]:
@@ -347,8 +357,7 @@ def _settle(step: Step, solution: ContactSolution, q: list, v: list) -> tuple[li
         closed = (true > 0) | (assumed > 0)
         weights += [jnp.where(closed, STIFFNESS * contact.mass, 0.0), *others]
         unmoved += [true - assumed, *others]
-    rows = sum(len(joint.rates) for joint in step.joints) + len(step.shafts)
-    further = [0.0] * (rows + AXES * len(step.films))
+    further = [0.0 for other in step.others for _ in other.rates]
     unmoved, weights = unmoved + further, weights + further
     nothing = [0.0] * len(unmoved)
     ones = [1.0] * len(unmoved)

@@ -31,7 +31,6 @@ from jaxclear.formulations.joint_friction import (
 from jaxclear.formulations.loads_over_step import (
     beyond_stops,
     check_solved_loads,
-    forces_of_means,
     load_components,
     loads_in_step,
     with_loads,
@@ -48,7 +47,7 @@ from jaxclear.formulations.permanent_reactions import (
     with_friction,
 )
 from jaxclear.formulations.permanent_report import (
-    friction_of,
+    forces_of_impulses,
     joint_components,
     moved_in_films,
     pressing,
@@ -167,10 +166,7 @@ class PermanentContact(AbstractFormulation):
         return tuple(pair.name for pair in touching(prepare(mechanism)))
 
     def forces(self, instant):
-        joints = touching(instant.model.system)
-        friction = [x for one in joints for x in friction_of(instant, one.name)]
-        forces = with_friction(instant.model.system, instant.forces({}), friction)
-        return with_loads(instant.model.system, forces, forces_of_means(instant))
+        return forces_of_impulses(instant, {})
 
     def contact(self, instant, name):
         return report_of_means(instant, name)

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from jaxclear.components.clearance import CarryingEnd, carried_load
 from jaxclear.components.journal_film import film_of
 from jaxclear.formulations.base import ContactReport
+from jaxclear.formulations.loads_over_step import forces_of_means, with_loads
 from jaxclear.formulations.model import Instant, Model
 from jaxclear.formulations.permanent_reactions import (
     REACTION,
@@ -21,10 +22,12 @@ from jaxclear.formulations.permanent_reactions import (
     slid,
     sliding_speeds,
     touching,
+    with_friction,
 )
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import safe_divide
-from jaxclear.multibody.forces import read_load
+from jaxclear.multibody.contact_point import JointReport
+from jaxclear.multibody.forces import Forces, read_load
 from jaxclear.multibody.rows import wrench_in_joint
 from jaxclear.multibody.state import Followed
 from jaxclear.multibody.system import System
@@ -88,9 +91,13 @@ def joint_components(system: System) -> tuple[tuple[str, int], ...]:
     return tuple((one.name, REACTION + one.joint.components + 1) for one in touching(system))
 
 
-def friction_of(instant: Instant, name: str) -> list:
-    """Components of a joint's friction [N] at a saved instant whose state holds impulses."""
-    return instant.means_of(name)[REACTION:-1]
+def forces_of_impulses(instant: Instant, reports: dict[str, JointReport]) -> Forces:
+    """Everything that acts at a saved instant whose state holds impulses, with the clearance joints
+    as reported."""
+    system = instant.model.system
+    friction = [x for one in touching(system) for x in instant.means_of(one.name)[REACTION:-1]]
+    forces = with_friction(system, instant.forces(reports), friction)
+    return with_loads(system, forces, forces_of_means(instant))
 
 
 def report_of_means(instant: Instant, name: str) -> ContactReport:

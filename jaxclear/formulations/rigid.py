@@ -26,7 +26,6 @@ from jaxclear.formulations.delassus import DelassusOperator, delassus_operator
 from jaxclear.formulations.loads_over_step import (
     LoadsInStep,
     check_solved_loads,
-    forces_of_means,
     load_components,
     loads_in_step,
     solved_loads,
@@ -36,7 +35,11 @@ from jaxclear.formulations.loads_over_step import (
 )
 from jaxclear.formulations.model import Model, State
 from jaxclear.formulations.permanent_reactions import check_unique, touching, with_friction
-from jaxclear.formulations.permanent_report import friction_of, joint_components, report_of_means
+from jaxclear.formulations.permanent_report import (
+    forces_of_impulses,
+    joint_components,
+    report_of_means,
+)
 from jaxclear.formulations.rubbing_percussions import (
     joints_in_step,
     percussions_and_friction,
@@ -127,11 +130,7 @@ class RigidContact(AbstractFormulation):
         return (*mechanism.topology.clearances, *rubbing_in(mechanism.connections))
 
     def forces(self, instant):
-        forces = instant.forces(reports_of_means(instant))
-        joints = touching(instant.model.system)
-        friction = [x for one in joints for x in friction_of(instant, one.name)]
-        forces = with_friction(instant.model.system, forces, friction)
-        return with_loads(instant.model.system, forces, forces_of_means(instant))
+        return forces_of_impulses(instant, reports_of_means(instant))
 
     def contact(self, instant, name):
         if name in instant.model.system.bearings:

@@ -11,13 +11,12 @@ Nothing here is evaluated in a mechanism without such joints.
 
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
-
 from jaxclear.complementarity.joint_friction import across
 from jaxclear.components.clearance import carried_load
 from jaxclear.formulations.contact_rows import MiddleOfStep, lightness
+from jaxclear.formulations.delassus import LinearLaws
 from jaxclear.formulations.joint_friction import passive_of
-from jaxclear.formulations.laws_over_step import Averaging
+from jaxclear.formulations.laws_over_step import Averaging, taken_after
 from jaxclear.formulations.model import Model
 from jaxclear.formulations.permanent_reactions import (
     PermanentJoint,
@@ -40,14 +39,21 @@ from jaxclear.multibody.state import unpack_motion
 class JointOverStep(NamedTuple):
     """A joint that touches all the time over a step: how it slides (`slips` by component), the
     directions among these components in which friction moves it, the `rates` along these, what it
-    carried last [N], and after how much of the step its friction is taken [s]."""
+    carried last [N], and after how much of the step its friction is taken [s], whatever moves it
+    (`reaches`)."""
 
     pair: PermanentJoint
     slips: tuple[LinearRate, ...]
     directions: tuple[tuple, ...]
     rates: tuple[LinearRate, ...]
     load: Any
-    reach: Any
+    reaches: tuple
+
+    def linear(self, rates: tuple) -> LinearLaws:
+        """Its friction about the speeds along its rows: a damper."""
+        none = [0.0] * len(rates)
+        damping = [_share(self.pair, rates) * self.load] * len(rates) if rates else none
+        return LinearLaws(none, damping, none)
 
 
 def joints_over_step(
@@ -64,7 +70,7 @@ def joints_over_step(
         load = carried_load(fixed.joint.carrying_ends(*reaction, ratio))
         lightnesses = [lightness(rate.row, diagonal) for rate in rates]
         reach = _taken_at(fixed, load, lightnesses, averaging)
-        result.append(JointOverStep(fixed, slips, directions, rates, load, reach))
+        result.append(JointOverStep(fixed, slips, directions, rates, load, (reach, reach)))
     return tuple(result)
 
 
@@ -84,15 +90,10 @@ def _taken_at(joint: PermanentJoint, load: Any, lightnesses: list, averaging: Av
     the joint's rows accelerate these by, about. 0 where none is sought."""
     if not lightnesses:
         return 0.0
-    length, bias = averaging
+    length = averaging.length
     mean = sp.total(lightnesses) / len(lightnesses)
     braked = length * mean * load * joint.joint.friction.largest_slope(length)
-    return length * jnp.maximum(0.5 * (1 + bias), 1 - 1 / jnp.maximum(braked, 1.0))
-
-
-def damping(joint: JointOverStep, rates: tuple) -> Any:
-    """Friction over the sliding speed [N s/m] at the speeds along the joint's rows."""
-    return _share(joint.pair, rates) * joint.load
+    return length * taken_after(averaging.bias, braked)
 
 
 def _share(joint: PermanentJoint, rates: Any) -> Any:
@@ -105,7 +106,7 @@ def friction(joints: tuple[JointOverStep, ...], forces: list[tuple], change: lis
     """Friction [N] of every component of every joint, from the forces along the rows; where a drive
     has the say that of the mean speeds, a `change` from those in the middle."""
     out: list[Any] = []
-    for joint, force in zip(joints, forces, strict=True):
+    for joint, force in zip(joints, forces, strict=False):
         fixed = joint.pair
         if joint.directions:
             out += [sp.dot(force, parts) for parts in zip(*joint.directions, strict=True)]

@@ -11,6 +11,8 @@ import jax
 import jax.numpy as jnp
 
 from jaxclear.formulations.contact_rows import FreeMotion
+from jaxclear.formulations.delassus import LinearLaws
+from jaxclear.formulations.laws_over_step import Averaging
 from jaxclear.formulations.model import Model
 from jaxclear.ground import sparse as sp
 from jaxclear.multibody import transmissions
@@ -23,27 +25,29 @@ class ShaftOverStep(NamedTuple):
     as the step begins, and where a shaft's far end is (None: it has none)."""
 
     compliance: Compliance
-    rate: LinearRate
+    rates: tuple[LinearRate]
     twist: Any
     end: Any
     length: Any
+    reaches: tuple
 
-    def law(self, rate: Any) -> tuple[Any, Any]:
-        """Force along the row at a mean rate, and by how much it falls with that."""
+    def linear(self, rates: tuple) -> LinearLaws:
+        """Its law about a mean rate."""
         torque = lambda rate: transmissions.mean_torque(
             self.compliance, CouplingTwist(self.twist, rate), self.end, self.length
         )
-        rate = jnp.asarray(rate, float)
+        rate = jnp.asarray(rates[0], float)
         value, slope = jax.jvp(torque, (rate,), (jnp.ones_like(rate),))
-        return -value, jnp.maximum(slope, 0.0)
+        return LinearLaws([-value], [jnp.maximum(slope, 0.0)], rates)
 
 
 def shafts_over_step(
-    model: Model, free_motion: FreeMotion, back: list, length: Any
+    model: Model, free_motion: FreeMotion, back: list, averaging: Averaging
 ) -> tuple[tuple[ShaftOverStep, ...], FreeMotion]:
-    """The couplings with stiffness over a step of this length [s], and the free motion without
-    them; `back`: by how much the speeds at its start differ from those in its middle."""
+    """The couplings with stiffness over a step, and the free motion without them; `back`: by how
+    much the speeds at its start differ from those in its middle."""
     system, forces = model.system, free_motion.forces
+    length = averaging.length
     result, right = [], list(free_motion.right)
     for name, train in system.transmissions.items():
         pressing = forces.pressing[name]
@@ -53,7 +57,8 @@ def shafts_over_step(
         rate = LinearRate(pressing.twist.rate, {j: x / train.scale for j, x in row.items()})
         start = pressing.twist.value - 0.5 * length * rate.at(back)
         compliance = transmissions.compliance_of(train)
-        result.append(ShaftOverStep(compliance, rate, start, end, length))
+        reaches = averaging.reaches
+        result.append(ShaftOverStep(compliance, (rate,), start, end, length, reaches))
         for j, entry in rate.row.items():
             right[j] = sp.add(right[j], sp.mul(pressing.torque, entry))
     return tuple(result), free_motion._replace(right=tuple(right)) if result else free_motion

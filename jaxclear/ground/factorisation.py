@@ -113,15 +113,19 @@ def solve(factored: Any, right: tuple) -> tuple:
     return tuple(x)
 
 
-def eliminate(equations: list[Any]) -> list[Any]:
-    """Solution of a system of equations, rows with their right-hand sides at the end, by Gauss's
-    elimination with partial pivoting.
+def eliminate(matrix: Sequence[Any], right: Any) -> list[Any]:
+    """Solution of a system of equations, rows of a matrix (arrays, or sparse scalars one by one)
+    with their right-hand sides, by Gauss's elimination with partial pivoting.
 
     For matrices that are not symmetric, as those of contacts that slide. Of pivots that are alike
     but for rounding the first is taken, always: in a batch XLA may ask twice. A pivot costs a
     select for every row below it, which is twenty times what `factor` takes: prefer that one.
     """
-    lines, eliminated = list(equations), []
+    lines: list[Any] = [
+        jnp.append(row, x) if isinstance(row, jax.Array) else sp.stack([*row, x])
+        for row, x in zip(matrix, right, strict=True)
+    ]
+    eliminated: list[Any] = []
     while lines:
         # What is left of the lines: unknowns that are not yet eliminated, and the right-hand sides.
         _bring_up(lines, 0)

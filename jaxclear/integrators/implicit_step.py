@@ -7,17 +7,18 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from jaxclear.formulations import contact_rows, contacts_over_step
-from jaxclear.formulations.closing import closed
+from jaxclear.formulations import contact_rows
 from jaxclear.formulations.compliant import CompliantContact
 from jaxclear.formulations.contact_rows import TimeStep
+from jaxclear.formulations.contacts_over_step import damped
 from jaxclear.formulations.films_over_step import films_of
+from jaxclear.formulations.loop_closing import closed
 from jaxclear.formulations.midpoint_step import surplus
 from jaxclear.formulations.model import Model, State
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.grouping import packed, unpacked, unstacked
 from jaxclear.ground.numerics import positive_part
-from jaxclear.ground.quantity import Scalar, constant, count, quantity
+from jaxclear.ground.quantity import Scalar, constant, count, on_device, on_host, quantity
 from jaxclear.integrators.base import AbstractIntegrator, arrived, counted, divide, march
 from jaxclear.integrators.events import Peaks, among, no_peaks, risen, since, watch_from, watched
 from jaxclear.integrators.variational import not_resolved, resolved_steps, so_far, trust_resolved
@@ -89,7 +90,7 @@ class ImplicitStep(AbstractIntegrator):
     def with_finer_steps(self, share):
         if self.steps_per_save is not None:
             return None
-        return eqx.tree_at(lambda a: a.step, self, share * self.step)
+        return eqx.tree_at(lambda a: a.step, self, on_device(share * on_host(self.step)))
 
     @property
     def opens_loops(self):
@@ -122,7 +123,9 @@ class ImplicitStep(AbstractIntegrator):
         last = self._fixed(model, start, state, last)
         if not self._derived(model):
             return last, None
-        separate = not_resolved(model.layout.size, model.layout.joint_contacts, _damped(model))
+        separate = not_resolved(
+            model.layout.size, model.layout.joint_contacts, damped(model.system)
+        )
         return last, separate
 
     def _derived(self, model):
@@ -139,7 +142,7 @@ class ImplicitStep(AbstractIntegrator):
         of_model, rest = packed(model)
         arrays_of, others = eqx.partition(self, eqx.is_array)
         arrays = of_model, arrays_of
-        depths, damped = _depths(model), _damped(model)
+        depths, damps = _depths(model), damped(model.system)
 
         def plain(arrays, clock, y, last, peaks):
             model, method = unpacked(arrays[0], rest), eqx.combine(arrays[1], others)
@@ -148,7 +151,7 @@ class ImplicitStep(AbstractIntegrator):
             end = closed(model, sum(clock), end, clock[1])
             if peaks is None:
                 return end, now, None
-            forces = now[-model.layout.joint_contacts :] if damped else None
+            forces = now[-model.layout.joint_contacts :] if damps else None
             return end, now, risen(peaks, now[depths], forces)
 
         if not self._derived(model):
@@ -182,7 +185,7 @@ class ImplicitStep(AbstractIntegrator):
 
     def _surplus(self, model, last):
         """Where a warm start holds its surplus."""
-        end = len(last) - (model.layout.joint_contacts if _damped(model) else 0)
+        end = len(last) - (model.layout.joint_contacts if damped(model.system) else 0)
         return slice(end - model.layout.speeds, end)
 
     def _sped_up(self, model, state, last, length):
@@ -220,7 +223,7 @@ class ImplicitStep(AbstractIntegrator):
         if contacts:
             last = last.at[_depths(model)].set(_worn_deeper(model, interval.start, state, last))
             first_depths = positive_part(last[_depths(model)])
-            peaks = no_peaks(first_depths, _damped(model))._replace(depths=first_depths)
+            peaks = no_peaks(first_depths, damped(model.system))._replace(depths=first_depths)
             derived = self._derived(model)
             highest = since(_of_joints(model, interval.peaks), peaks) if derived else peaks
 
@@ -259,11 +262,6 @@ def _depths(model: Model) -> slice:
     """Where a warm start holds the indentations: behind the accelerations."""
     first = 2 * model.layout.speeds
     return slice(first, first + model.layout.joint_contacts)
-
-
-def _damped(model: Model) -> bool:
-    """Whether some contact of a joint damps."""
-    return contacts_over_step.damped(model.system)
 
 
 def _of_joints(model: Model, peaks: Peaks | None) -> Peaks | None:

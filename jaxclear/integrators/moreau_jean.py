@@ -34,16 +34,16 @@ import jax.numpy as jnp
 from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array
 
-from jaxclear.formulations.closing import closed
 from jaxclear.formulations.contact_rows import TimeStep
 from jaxclear.formulations.loads_over_step import may_strike
+from jaxclear.formulations.loop_closing import closed
 from jaxclear.formulations.model import Model, State
 from jaxclear.formulations.rigid import RigidContact, Strikes
 from jaxclear.formulations.unilateral import MoreauJeanSettings
 from jaxclear.ground.grouping import packed, unpacked
 from jaxclear.ground.numerics import safe_divide
 from jaxclear.ground.outcome import Unknown
-from jaxclear.ground.quantity import Scalar, quantity
+from jaxclear.ground.quantity import Scalar, on_device, on_host, quantity
 from jaxclear.ground.tangents import (
     allow_first_derivative,
     apply_if,
@@ -323,7 +323,7 @@ class MoreauJean(AbstractIntegrator):
         return RIGID
 
     def with_finer_steps(self, share):
-        return eqx.tree_at(lambda a: a.step, self, share * self.step)
+        return eqx.tree_at(lambda a: a.step, self, on_device(share * on_host(self.step)))
 
     @property
     def opens_loops(self):

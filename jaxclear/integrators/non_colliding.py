@@ -6,10 +6,10 @@ from typing import ClassVar
 
 import equinox as eqx
 
-from jaxclear.formulations.closing import closed
 from jaxclear.formulations.joint_friction import NonCollidingSettings
+from jaxclear.formulations.loop_closing import closed
 from jaxclear.formulations.permanent import PermanentContact
-from jaxclear.ground.quantity import Scalar, quantity
+from jaxclear.ground.quantity import Scalar, on_device, on_host, quantity
 from jaxclear.integrators.base import PERMANENT, AbstractIntegrator, searching_steps
 
 # Last change of friction in a search, relative to its bound, beyond which it may be far from the
@@ -66,7 +66,7 @@ class NonColliding(AbstractIntegrator):
         return PERMANENT
 
     def with_finer_steps(self, share):
-        return eqx.tree_at(lambda a: a.step, self, share * self.step)
+        return eqx.tree_at(lambda a: a.step, self, on_device(share * on_host(self.step)))
 
     @property
     def opens_loops(self):

@@ -17,6 +17,7 @@ from jaxtyping import Array, Bool, Float
 
 from jaxclear.components.beam import parts_of_beams
 from jaxclear.ground import factorisation
+from jaxclear.ground.quantity import on_device
 from jaxclear.ground.wording import listed
 from jaxclear.multibody import start_check
 from jaxclear.multibody.mechanism import Mechanism
@@ -91,7 +92,7 @@ def nominal(mechanism: Mechanism, start: Start, searched: bool) -> Nominal:
     total = np.trace(across) < 0.5
     coordinates = start.coordinates if searched or total else None
     branches = tuple(branch.name for branch in mechanism.topology.branches)
-    return Nominal(coordinates, jnp.asarray(rows), jnp.asarray(across), branches)
+    return Nominal(coordinates, on_device(rows), on_device(across), branches)
 
 
 # What a search makes of a beginning: a start, and whether it is sound.

@@ -16,7 +16,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxclear.components.acting import acts_on_coordinates
 from jaxclear.components.beam import Beam
 from jaxclear.components.body import GROUND, Body, Connection, Marker
 from jaxclear.components.clearance import AbstractClearance
@@ -42,6 +41,7 @@ from jaxclear.components.load import (
     JointMotion,
     MarkerMotion,
 )
+from jaxclear.components.load_base import acts_on_coordinates
 from jaxclear.ground.arguments import check_name, expect
 from jaxclear.ground.pose import Pose
 from jaxclear.ground.quantity import check_kinds, check_range, is_one_number, is_traced, numbers

@@ -134,8 +134,10 @@ def by_columns(function: Callable, *arguments: Any) -> Any:
     places = [i for i, leaf in enumerate(leaves) if isinstance(leaf, jax.core.Tracer)]
     shapes: list[Any] = []
 
-    def of_leaves(*leaves_of_arguments):
-        out, shape = jax.tree.flatten(function(*jax.tree.unflatten(structure, leaves_of_arguments)))
+    def of_traced(*numbers):
+        given = dict(zip(places, numbers, strict=True))
+        values = [given.get(i, leaf) for i, leaf in enumerate(leaves)]
+        out, shape = jax.tree.flatten(function(*jax.tree.unflatten(structure, values)))
         traced = [i for i, leaf in enumerate(out) if isinstance(leaf, jax.core.Tracer)]
         shapes.append(
             (shape, traced, [None if i in traced else leaf for i, leaf in enumerate(out)])
@@ -143,7 +145,6 @@ def by_columns(function: Callable, *arguments: Any) -> Any:
         return [out[i] for i in traced]
 
     numbers = [leaves[i] for i in places]
-    of_traced = of_moving(of_leaves, leaves, places)
     program = jax.make_jaxpr(of_traced)(*numbers) if places else None
     if program is None or program.jaxpr.effects:
         return function(*arguments)

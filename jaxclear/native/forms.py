@@ -169,7 +169,7 @@ def _files(root: Path) -> str:
     for path in sorted([*root.rglob("*.py"), *root.rglob("*.ll")]):
         status, content = path.stat(), path.read_bytes()
         # A copy may carry an older date; when it came here is told beside it.
-        if max(status.st_mtime, status.st_ctime) > source_check.READ_BEFORE:
+        if max(status.st_mtime, status.st_ctime) > source_check.UNCHANGED_SINCE:
             raise Untold(f"{path}, edited since it was read")
         digest.update(f"{path.relative_to(root)} {len(content)} ".encode() + content)
     return digest.hexdigest()

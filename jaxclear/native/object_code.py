@@ -11,6 +11,9 @@ from typing import Any
 from jaxclear.ground import cache_folder
 from jaxclear.native import stopping
 
+# How much LLVM optimises the text of a kernel, from 0 to 3.
+SPEED_LEVEL = 2
+
 
 def compiled(text: str) -> Any:
     """An engine that holds the machine code; the code lives as long as it does."""
@@ -45,7 +48,7 @@ def _object_code(text: str) -> bytes:
     import llvmlite.binding as llvm
 
     module, machine = llvm.parse_assembly(text), _target()
-    options = llvm.create_pipeline_tuning_options(speed_level=2)
+    options = llvm.create_pipeline_tuning_options(speed_level=SPEED_LEVEL)
     passes = llvm.create_pass_builder(machine, options)
     passes.getModulePassManager().run(module, passes)
     return machine.emit_object(module)

@@ -6,14 +6,14 @@ package's; and files may have been edited since they were read.
 """
 
 import sys
-import time
 from collections.abc import Iterator
 from operator import is_not
 from typing import Any
 
 PACKAGE = __name__.partition(".")[0]
-# Its files were read after this [s since 1970].
-READ_BEFORE = time.time() - 5.0
+# What has been the same since then [s since 1970] is what was read, or will be: the package's files
+# are read later. Clocks of file systems tick, some every 10 ms.
+UNCHANGED_SINCE = vars(sys.modules[PACKAGE])["_READ_AFTER"] - 0.1
 
 
 # By module or class its names, and the things that they stood for when it was first seen: kept, so

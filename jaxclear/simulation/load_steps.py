@@ -17,13 +17,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxclear.components.acting import acts_on_coordinates
 from jaxclear.components.drive import AbstractDrive
 from jaxclear.components.function_of_time import AbstractFunctionOfTime
 from jaxclear.components.joint.base import drive_of
+from jaxclear.components.load_base import acts_on_coordinates
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.latest import Key
 from jaxclear.ground.quantity import concrete, is_traced, on_device, on_host
+from jaxclear.ground.recent_results import Key
 from jaxclear.integrators.adaptive import Adaptive
 from jaxclear.integrators.base import SLIVER, AbstractIntegrator
 from jaxclear.integrators.checks import Check, Checks, Figure
@@ -248,18 +248,23 @@ class _AlongRun(eqx.Module):
 def felt_along(run: Trajectory, integrator: AbstractIntegrator) -> LoadSteps:
     """The same for what loads of the user's own on coordinates do along a run; the integrator
     itself where the run has felt them."""
+    ours = __name__.partition(".")[0]
+    present: dict[str, Any] = dict(run.mechanism.loads)
+    loads = {
+        name: load
+        for name, load in present.items()
+        if type(load).__module__.partition(".")[0] != ours
+        and acts_on_coordinates(load)
+        and load.sampled_every() is None
+    }
+    if not loads or is_traced(run) or not run.succeeded:
+        return LoadSteps(integrator, {})
     from scipy.interpolate import CubicHermiteSpline
 
-    functions, times, ours = {}, run.time, __name__.partition(".")[0]
-    is_read = not is_traced(run) and run.succeeded
-    loads: dict[str, Any] = dict(run.mechanism.loads)
+    functions, times = {}, run.time
     for name, load in loads.items():
-        is_users = type(load).__module__.partition(".")[0] != ours and is_read
-        if is_users and acts_on_coordinates(load) and load.sampled_every() is None:
-            read = lambda what, load=load: np.stack(
-                [np.ravel(what(x)) for x in load.coordinates()], 1
-            )
-            path = CubicHermiteSpline(np.asarray(times), read(run.coordinate), read(run.speed))
-            pieces = jnp.asarray(path.c), jnp.asarray(path.derivative().c)
-            functions[name] = _AlongRun(load, jnp.asarray(times), *pieces)
+        read = lambda what, load=load: np.stack([np.ravel(what(x)) for x in load.coordinates()], 1)
+        path = CubicHermiteSpline(np.asarray(times), read(run.coordinate), read(run.speed))
+        pieces = jnp.asarray(path.c), jnp.asarray(path.derivative().c)
+        functions[name] = _AlongRun(load, jnp.asarray(times), *pieces)
     return _looked_at(functions, integrator, times)

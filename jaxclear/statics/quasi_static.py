@@ -24,12 +24,12 @@ import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array
 
-from jaxclear.components.acting import AbstractStateLoad
 from jaxclear.components.body import Connection
 from jaxclear.components.clearance import AbstractClearance, AbstractPermanentJoint
 from jaxclear.components.coupling import Latch, Motor
 from jaxclear.components.drive import ConstantPosition
 from jaxclear.components.joint.base import AbstractDrivenJoint, drive_of
+from jaxclear.components.load_base import AbstractStateLoad
 from jaxclear.formulations.permanent_reactions import Reaction, reaction_through
 from jaxclear.ground import factorisation
 from jaxclear.ground import sparse as sp
@@ -352,8 +352,7 @@ def solved(matrix: list[list], right: list) -> list:
         return []
     if len(right) == 1:
         return [right[0] / matrix[0][0]]
-    lines = [sp.stack([*row, value]) for row, value in zip(matrix, right, strict=True)]
-    return factorisation.eliminate(lines)
+    return factorisation.eliminate(matrix, right)
 
 
 def unheld(system: System, forces: Forces) -> list:
@@ -418,7 +417,7 @@ class Read(NamedTuple):
 
     coordinates: Array
     seats: dict[str, Array]
-    found: Array
+    is_solved: Array
     side: float
     moving: dict[str, tuple[int, ...]]
     other: Any = None
@@ -568,12 +567,8 @@ def _tangent(arrays: Any, moved: Any, rest: Any, spot: Spot, method: ByLoops) ->
     rows = jax.jacfwd(equations, argnums=1)(arrays, here)
     right = jax.jvp(lambda scene_: equations(scene_, here), (arrays,), (moved,))[1]
     # The inverse first, so that what is solved for stays linear and can be transposed.
-    inverse = jax.vmap(lambda unit: _eliminated(rows, unit))(jnp.eye(len(here)))
+    solve = lambda unit: jnp.stack(factorisation.eliminate(list(rows), unit))
+    inverse = jax.vmap(solve)(jnp.eye(len(here)))
     change = -jnp.sum(inverse * right[:, None], axis=0)
     q = jax.jvp(place, (here[:count],), (change[:count],))[1]
     return Spot(q, unflatten(change[count:]), jnp.zeros(()), jnp.zeros(()))
-
-
-def _eliminated(rows: Array, right: Array) -> Array:
-    lines = [jnp.append(row, value) for row, value in zip(rows, right, strict=True)]
-    return jnp.stack(factorisation.eliminate(lines))

@@ -11,6 +11,7 @@ import numpy as np
 from jaxclear.errors.accuracy import checked_accuracy, ratio_to_allowed
 from jaxclear.errors.choice import Chosen
 from jaxclear.ground.arguments import check_name
+from jaxclear.ground.quantity import on_host
 from jaxclear.integrators import AbstractIntegrator
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.native.compiled import AROUND_A_KERNEL, compiled_quickly
@@ -55,7 +56,7 @@ def unasked(
     """The integrator of a study that asks for none, why, and the accuracy for which it was chosen
     (None: it was not)."""
     usual, why = usual_integrator(mechanism, duration)
-    step = usual.requested_step()
+    step = on_host(usual.requested_step())
     if not why or step is None or duration <= DEAR * step:
         return usual, why, None
     choice = chosen_integrator(mechanism, response, duration, UNASKED, how)

@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_count, check_flags, check_name, check_number
+from jaxclear.ground.quantity import on_device
 from jaxclear.integrators.checks import Checks
 from jaxclear.studies.answer import (
     DATASET,
@@ -353,7 +353,7 @@ def monte_carlo(
     parts = checked_scramblings("monte_carlo", first, scramblings)
     chunk = chunk_size(problem, first, chunk)
     run = lambda values: evaluate_all(
-        problem, jnp.asarray(values), chunk=chunk, progress_bar=progress_bar, label="Monte Carlo"
+        problem, on_device(values), chunk=chunk, progress_bar=progress_bar, label="Monte Carlo"
     )
     drawing = Drawing(problem, seed, sampling, parts)
     sample, short = Grown(drawing, run, chunk), ""

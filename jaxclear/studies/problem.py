@@ -19,7 +19,7 @@ from jaxclear.ground.arguments import expect
 from jaxclear.ground.array_functions import on_host
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.printing import in_a_line, number_in_words
-from jaxclear.ground.quantity import AbstractQuantified, with_quantities
+from jaxclear.ground.quantity import AbstractQuantified, on_device, with_quantities
 from jaxclear.ground.wording import described, listed
 from jaxclear.integrators import AbstractIntegrator
 from jaxclear.multibody.mechanism import Mechanism
@@ -189,7 +189,7 @@ class Problem(AbstractQuantified):
         numbers = [self.variables[name].nominal_in(subject) for name in self.variable_names]
         if len(self.names) > len(numbers):
             return jnp.concatenate([jnp.atleast_1d(number) for number in numbers])
-        return jnp.asarray(xp.stack(on_host(numbers))) if numbers else jnp.zeros(0)
+        return on_device(xp.stack(on_host(numbers))) if numbers else jnp.zeros(0)
 
     def setting(self, values: Any) -> Setting:
         """The variables at these values.

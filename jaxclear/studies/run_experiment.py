@@ -18,7 +18,7 @@ from jaxclear.errors.observables import GAPS
 from jaxclear.errors.verification import refine_times, replica
 from jaxclear.ground.compiling import by_form
 from jaxclear.ground.printing import part_in_words
-from jaxclear.ground.quantity import on_device
+from jaxclear.ground.quantity import on_device, on_host
 from jaxclear.integrators import AbstractIntegrator, FixedStep, MoreauJean, Outcome
 from jaxclear.integrators.base import PART_OF, STUDIES, Promise
 from jaxclear.integrators.checks import Checks
@@ -139,7 +139,7 @@ class RunExperiment(AbstractExperiment):
         self.mechanism, self.response = mechanism, response
         self.response_names = tuple(response)
         saving = as_saving(save)
-        times = on_device(saving_times(check_duration(duration), saving.at))
+        times = saving_times(check_duration(duration), saving.at)
         self.state = state_of(state)
         self._check_answers(integrator, times, saving.events)
         arguments = mechanism, self.response, times[-1]
@@ -154,12 +154,13 @@ class RunExperiment(AbstractExperiment):
         self.integrator, self.why_integrator, self.accuracy = chosen
         self.unasked = integrator is None and self.accuracy is None
         self.events = checked_saving(saving, self.integrator).events
-        self.duration, self.shares = times[-1], times / times[-1]
+        # In the order in which XLA divides.
+        self.duration, self.shares = on_device(times[-1]), on_device(times * (1 / times[-1]))
         check_run(mechanism, self.integrator)
         check_steps(integrator, times)
         modelled = self.integrator.formulation.modelled(mechanism)
         self.past = past_of(modelled, self.integrator.formulation, self.state)
-        self.updates = jnp.asarray(1)
+        self.updates = on_device(1)
         self.integrator = self._load_steps().integrator
         motion = self.state.motion
         if motion is None:
@@ -227,7 +228,8 @@ class RunExperiment(AbstractExperiment):
 
     def _times(self) -> Array:
         """Saving times [s]."""
-        return self.state.start_time + self.shares * self.duration
+        start, shares, duration = on_host((self.state.start_time, self.shares, self.duration))
+        return start + shares * duration
 
     def _beginning(self, mechanism: Mechanism) -> tuple[Array, Array] | None:
         """Coordinates and speeds from which the start of a sample is sought; None for its own
@@ -258,7 +260,7 @@ class RunExperiment(AbstractExperiment):
         if how is None:
             return None
         places = lambda e: (e.integrator, e.updates)
-        experiment = eqx.tree_at(places, self, (how.integrator, jnp.asarray(how.updates)))
+        experiment = eqx.tree_at(places, self, (how.integrator, on_device(how.updates)))
         if how.every == 1:
             return experiment
         responses = {name: Thinned(f, how.every) for name, f in self.response.items()}
@@ -277,7 +279,7 @@ class RunExperiment(AbstractExperiment):
             near = max(NEAR_A_CORE // max(memory, 1), LEAST_CHUNK)
             batch = min(batch, 1 << (near.bit_length() - 1))
         # Runs of no length.
-        idle = eqx.tree_at(lambda run: run.duration, self, jnp.zeros(()))
+        idle = eqx.tree_at(lambda run: run.duration, self, on_device(0.0))
         return Cost(memory, batch, idle=idle)
 
     def describe(self):

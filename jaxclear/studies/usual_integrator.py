@@ -10,7 +10,7 @@ import math
 from typing import Any
 
 from jaxclear.formulations.contact_rates import ContactRates, contact_rates
-from jaxclear.ground.quantity import is_traced
+from jaxclear.ground.quantity import is_traced, on_host
 from jaxclear.integrators import AbstractIntegrator, Adaptive, FixedStep, ImplicitStep
 from jaxclear.laws.friction.base import AbstractForceFriction
 from jaxclear.multibody.mechanism import Mechanism
@@ -42,8 +42,9 @@ def usual_integrator(mechanism: Mechanism, duration: Any) -> tuple[AbstractInteg
         )
     explicit = FixedStep()
     step = float(explicit.step)
-    films = [name for name in mechanism.topology.clearances if _is_filled(mechanism, name)]
-    if not (films or _touches(mechanism)) or is_traced((mechanism, duration)):
+    numbers = on_host(mechanism)
+    films = [name for name in mechanism.topology.clearances if _is_filled(numbers, name)]
+    if not (films or _touches(numbers)) or is_traced((mechanism, duration)):
         return explicit, ""
     try:
         rates = contact_rates(mechanism, float(duration), step)
@@ -54,7 +55,7 @@ def usual_integrator(mechanism: Mechanism, duration: Any) -> tuple[AbstractInteg
     rates = {name: rate for name, rate in rates.items() if name not in films}
     if not (rates or films):
         return explicit, ""
-    bristles = [joint for joint in rates if _bristles(mechanism, joint)]
+    bristles = [joint for joint in rates if _bristles(numbers, joint)]
     allowed, cause = _longest(rates, step) if rates else (step, "")
     contact = max((rate.contact for rate in rates.values()), default=0.0)
     share = BRISTLE_SHARE if bristles else IMPLICIT_SHARE

@@ -85,7 +85,7 @@ def test_choices_that_disagree_do_no_harm(name):
 def test_ties_of_pivots_are_no_matter_of_rounding():
     """Pivots that are alike but for rounding are chosen alike, so that no row is taken twice."""
     matrix = np.array([[2.0, 1.0, -1.0, 1.0], [-2.0, 3.0, 1.0, 2.0], [2.0, 0.5, 4.0, 3.0]])
-    solve = lambda lines: jnp.stack(eliminate(list(lines)))
+    solve = lambda lines: jnp.stack(eliminate(list(lines[:, :3]), lines[:, 3]))
     program, made = jax.make_jaxpr(solve)(matrix), []
     for off in (0.0, 1e-15, -1e-15):
         nudged = matrix * (1 + off * np.array([[1.0], [-1.0], [1.0]]))

@@ -2,7 +2,15 @@
 
 import pytest
 
-from jaxclear.native import loop
+from jaxclear.native import loop, object_code
+
+
+@pytest.fixture(autouse=True, scope="module")
+def as_users():
+    """Kernels are optimised as users' are."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(object_code, "SPEED_LEVEL", 2)
+        yield
 
 
 @pytest.fixture

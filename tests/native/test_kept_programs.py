@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 import time
@@ -17,7 +18,7 @@ from jax.experimental.compilation_cache import compilation_cache
 
 import jaxclear as jc
 from jaxclear.ground import cache_folder
-from jaxclear.ground.latest import Latest
+from jaxclear.ground.recent_results import Latest
 from jaxclear.native import compiled, forms, source_check
 from jaxclear.native.compiled import compiled_quickly
 from jaxclear.native.forms import Untold, in_text, surroundings, tree_in_text
@@ -47,7 +48,7 @@ def kept(tmp_path, monkeypatch):
     # These tests put other things in the place of the package's.
     monkeypatch.setattr(source_check, "is_unmodified", lambda: True)
     # Files may have been installed a moment ago.
-    monkeypatch.setattr(source_check, "READ_BEFORE", float("inf"))
+    monkeypatch.setattr(source_check, "UNCHANGED_SINCE", float("inf"))
     # What JAX finds on disk is not kept again.
     jax.config.update("jax_enable_compilation_cache", False)
     compilation_cache.reset_cache()
@@ -239,9 +240,17 @@ def test_files_count_by_what_stands_in_them(tmp_path):
         written("MU = 0.3")
     # A day from now this process began.
     with pytest.MonkeyPatch.context() as on:
-        on.setattr(source_check, "READ_BEFORE", time.time() + 86400)
+        on.setattr(source_check, "UNCHANGED_SINCE", time.time() + 86400)
         before = written("MU = 0.3")
         assert written("MU = 0.4") != before == written("MU = 0.3", days=2)
+
+
+def test_a_package_that_was_installed_a_moment_ago_keeps_its_programs(tmp_path):
+    """As the first command after an installation does."""
+    shutil.copytree(ROOT / "jaxclear", tmp_path / "site" / "jaxclear")
+    program = "from jaxclear.native.forms import surroundings; surroundings()"
+    environment = os.environ | {"PYTHONPATH": str(tmp_path / "site")}
+    subprocess.run([sys.executable, "-c", program], env=environment, cwd=tmp_path, check=True)
 
 
 @pytest.mark.parametrize("hits", [0, 1])

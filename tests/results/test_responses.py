@@ -73,7 +73,7 @@ def test_a_run_as_a_table_keeps_every_digit(run, tmp_path):
 
 @pytest.mark.parametrize(
     ("name", "meant"),
-    [("plot", "plot.result(run)"), ("position", "run.marker(body, at).position"), ("x", "no 'x'.")],
+    [("plot", "plot.result(run)"), ("position", "run.path(marker)"), ("x", "no 'x'.")],
 )
 def test_a_name_that_a_run_has_not_says_what_is_meant(run, name, meant):
     with pytest.raises(AttributeError, match=re.escape(meant)):

@@ -1,6 +1,8 @@
 """A push that is shorter than a step is told of, and steps that find their own length do not pass
 over it. Oracle: a body on a slide that is pushed moves by the impulse over its mass."""
 
+import sys
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -208,3 +210,12 @@ def test_slopes_of_a_short_push_are_those_of_its_impulse():
 
     slope = jax.jvp(after, (MASS,), (1.0,))[1]
     assert float(slope) == pytest.approx(-impulse(pulse, 60.0) / MASS**2, rel=1e-4)
+
+
+def test_what_follows_loads_along_a_run_is_not_imported_without_them(monkeypatch):
+    """It takes a third of a second, which a first run would wait for."""
+    monkeypatch.setitem(sys.modules, "scipy.interpolate", None)
+    run = jc.simulate(
+        jc.scenes.guide(), 1e-3, integrator=jc.integrator.MoreauJean(), save=3, verify=False
+    )
+    assert run.succeeded
