@@ -78,7 +78,7 @@ finally:
         gc.enable()
 
 if TYPE_CHECKING:
-    from jaxclear.offered_later import *
+    from jaxclear.lazy_names import *
 
 __version__ = installed("jaxclear")
 
@@ -195,7 +195,7 @@ __all__ = [
     "write_scene",
 ]
 _refused, __dir__ = nothing_else("jaxclear", __all__)
-# What `offered_later` offers; of it, what is a module.
+# What `lazy_names` offers; of it, what is a module.
 _LATER = set(__all__) - set(globals())
 _MODULES_LATER = (
     "catalogue",
@@ -222,7 +222,7 @@ if not TYPE_CHECKING:
     def __getattr__(name: str) -> Any:
         if name not in _LATER:
             return _refused(name)
-        later = importlib.import_module("jaxclear.offered_later")
+        later = importlib.import_module("jaxclear.lazy_names")
         globals().update((one, getattr(later, one)) for one in _LATER)
         _LATER.clear()
         _named(*_MODULES_LATER)

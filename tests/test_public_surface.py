@@ -16,6 +16,7 @@ import pytest
 
 import jaxclear
 from jaxclear.ground.quantity import AbstractQuantified
+from jaxclear.results.singular_position import SingularPosition
 from jaxclear.studies.design.cost import AbstractCost
 from jaxclear.studies.experiment import ResponseInfo
 
@@ -190,6 +191,8 @@ def test_an_old_argument_works_and_warns_of_the_new_one():
         assert jaxclear.sensor.Series("speed", given=True).is_input
     with pytest.raises(TypeError, match="Series has no argument"):
         jaxclear.sensor.Series("speed", found=True)
+    with pytest.raises(TypeError, match='Series has no argument "given"'):
+        jaxclear.sensor.Series("speed", given=True, is_input=False)
 
 
 def test_an_old_member_works_and_warns_of_the_new_one():
@@ -199,6 +202,11 @@ def test_an_old_member_works_and_warns_of_the_new_one():
     allowed = ResponseInfo(promise=(1.0, 0.0))
     with pytest.warns(FutureWarning, match="promised of .*ResponseInfo is called tolerance now"):
         assert allowed.promised(2.0) == allowed.tolerance(2.0) == 1.0
+    ended, singular = jaxclear.integrator.Outcome, SingularPosition("A", 0.1, is_reversed=False)
+    with pytest.warns(FutureWarning, match="SUNK_IN of .*Outcome is called PENETRATION_EXCEEDED"):
+        assert ended.SUNK_IN is ended.PENETRATION_EXCEEDED
+    with pytest.warns(FutureWarning, match="passed of .*SingularPosition is called is_passed now"):
+        assert singular.passed and singular.is_passed
 
 
 def test_a_class_that_overrides_an_old_member_overrides_the_new_one():

@@ -16,8 +16,8 @@ import jaxclear as jc
 from jaxclear.commands import antenna, arm, design, flap, four_bar, guide, parallel_3rsr, wear_life
 from jaxclear.commands.cache import cache
 from jaxclear.commands.drawing_yield import drawing_yield
-from jaxclear.commands.own_scene import example, fmu, identify, monte_carlo, parameters, run
 from jaxclear.commands.report import report
+from jaxclear.commands.scene_file import example, fmu, identify, monte_carlo, parameters, run
 from jaxclear.ground import cache_folder
 from jaxclear.studies.store.store import OtherStudyError, StoreError
 

@@ -7,7 +7,7 @@ import click
 
 import jaxclear as jc
 from jaxclear import plot
-from jaxclear.commands.own_scene import mistakes_told, read
+from jaxclear.commands.scene_file import mistakes_told, read
 from jaxclear.commands.study import StudyFolder
 from jaxclear.ground.arguments import check_name
 from jaxclear.ground.table import as_table

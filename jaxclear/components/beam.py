@@ -13,9 +13,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxclear.components.acting import AbstractStateLoad, CoordinateEffect
 from jaxclear.components.body import Body, Connection, Marker
 from jaxclear.components.joint import Prismatic, Revolute
+from jaxclear.components.load_base import AbstractStateLoad, CoordinateEffect
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.quantity import (
     AbstractQuantified,

@@ -11,7 +11,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from jaxclear.components.acting import AbstractJointLoad, JointEffect, LoadState
+from jaxclear.components.load_base import AbstractJointLoad, JointEffect, LoadState
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import safe_divide, safe_sqrt
 from jaxclear.ground.quantity import Scalar, quantity

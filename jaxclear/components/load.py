@@ -17,7 +17,15 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from jaxclear.components.acting import (
+from jaxclear.components.body import Marker
+from jaxclear.components.function_of_time import (
+    check_function_of_time,
+    number_or_function,
+    one_or_more_or_function,
+    value_at,
+    vector_or_function,
+)
+from jaxclear.components.load_base import (
     AbstractCoordinateLoad,
     AbstractJointLoad,
     AbstractLoad,
@@ -28,14 +36,6 @@ from jaxclear.components.acting import (
     LoadState,
     MotorEnd,
     Side,
-)
-from jaxclear.components.body import Marker
-from jaxclear.components.function_of_time import (
-    check_function_of_time,
-    number_or_function,
-    one_or_more_or_function,
-    value_at,
-    vector_or_function,
 )
 from jaxclear.components.servo import Servo
 from jaxclear.components.stops_and_friction import JointFriction, JointStop, Pressed

@@ -11,12 +11,12 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from jaxclear.components.acting import AbstractStateLoad, CoordinateEffect, LoadState, MotorEnd
 from jaxclear.components.function_of_time import (
     check_function_of_time,
     number_or_function,
     value_at,
 )
+from jaxclear.components.load_base import AbstractStateLoad, CoordinateEffect, LoadState, MotorEnd
 from jaxclear.ground.arguments import check_name
 from jaxclear.ground.outcome import Unknown
 from jaxclear.ground.quantity import Scalar, count, quantity

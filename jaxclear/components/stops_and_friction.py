@@ -12,17 +12,17 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from jaxclear.components.acting import (
+from jaxclear.components.function_of_time import (
+    check_function_of_time,
+    number_or_function,
+    value_at,
+)
+from jaxclear.components.load_base import (
     AbstractCoordinateLoad,
     AbstractStateLoad,
     CoordinateEffect,
     LoadState,
     Side,
-)
-from jaxclear.components.function_of_time import (
-    check_function_of_time,
-    number_or_function,
-    value_at,
 )
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import positive_part, smooth_sign, smooth_step

@@ -23,7 +23,6 @@ from jaxclear.components.beam import Beam
 from jaxclear.components.body import Body, Connection, Marker
 from jaxclear.components.function_of_time import AbstractFunctionOfTime, TimeTable
 from jaxclear.components.load import AbstractLoad
-from jaxclear.files.by_numbers import from_scipy, table_of, time_table
 from jaxclear.files.forms import (
     UNMEASURED,
     AbstractForm,
@@ -41,6 +40,7 @@ from jaxclear.files.forms import (
     Text,
     refuse,
 )
+from jaxclear.files.numeric_tables import from_scipy, table_of, time_table
 from jaxclear.files.text import Misread, Node, misread, plain_text
 from jaxclear.ground.argument_errors import (
     with_new_arguments,

@@ -10,7 +10,6 @@ from jaxclear.formulations.base import AbstractFormulation as AbstractFormulatio
 from jaxclear.formulations.base import ContactReport as ContactReport
 from jaxclear.formulations.base import clearance_contact as clearance_contact
 from jaxclear.formulations.base import model_of as model_of
-from jaxclear.formulations.closing import closed as closed
 from jaxclear.formulations.compliant import CompliantContact as CompliantContact
 from jaxclear.formulations.contact_rows import TimeStep as TimeStep
 from jaxclear.formulations.contact_rows import indentations as indentations
@@ -18,6 +17,7 @@ from jaxclear.formulations.contact_rows import middle_of_step as middle_of_step
 from jaxclear.formulations.contact_rows import reports_of_means as reports_of_means
 from jaxclear.formulations.delassus import DelassusOperator as DelassusOperator
 from jaxclear.formulations.delassus import delassus_operator as delassus_operator
+from jaxclear.formulations.loop_closing import closed as closed
 from jaxclear.formulations.model import Instant as Instant
 from jaxclear.formulations.model import Model as Model
 from jaxclear.formulations.permanent import PermanentContact as PermanentContact

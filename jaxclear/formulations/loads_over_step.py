@@ -14,9 +14,9 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 
-from jaxclear.components.acting import AbstractCoordinateLoad, AbstractStateLoad, Side
 from jaxclear.components.clearance.backlash import middle_of
 from jaxclear.components.function_of_time import value_at
+from jaxclear.components.load_base import AbstractCoordinateLoad, AbstractStateLoad, Side
 from jaxclear.formulations.model import Instant, Model
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import positive_part

@@ -5,6 +5,7 @@ Python's own errors name neither what there is nor what was probably meant. Noth
 call that is right.
 """
 
+import enum
 import functools
 import importlib.util
 import inspect
@@ -38,7 +39,7 @@ RENAMED_ARGUMENTS = {"found": "fits", "given": "is_input"}
 
 
 class Renamed:
-    """A member of a class by its old name: it warns, and is the one with the `new` name.
+    """A member of a class or an enumeration by its old name: it warns, and is the `new` one.
 
     Members of a named tuple do not learn their `name`.
     """
@@ -50,10 +51,10 @@ class Renamed:
         self.name = name
 
     def __get__(self, instance: Any, owner: type) -> Any:
-        if instance is None:
+        if instance is None and not issubclass(owner, enum.Enum):
             return self
         self.warn_of(public_name(owner))
-        return getattr(instance, self.new)
+        return getattr(owner if instance is None else instance, self.new)
 
     def warn_of(self, owner: str) -> None:
         """Says the new name of the owner's member."""
@@ -75,7 +76,7 @@ def _with_new_members(name: str, bases: tuple, namespace: dict) -> dict:
 def with_new_arguments(owner: str, parameters: Container[str], args: dict) -> dict:
     """Arguments with their new names; warns of old ones, of which the `owner` is known."""
     for old, new in RENAMED_ARGUMENTS.items():
-        if old in args and old not in parameters and new in parameters:
+        if old in args and old not in parameters and new in parameters and new not in args:
             sentence = (
                 f"{old} of {owner} is called {new} now; the old name goes in the next version."
             )

@@ -49,7 +49,7 @@ def part_in_words(part: Any) -> str:
 
 
 def as_typed(part: Any) -> str:
-    """A part as a user would write it, defaults left out: FixedStep(step=5e-05, method="euler")."""
+    """A part as a user would write it, defaults left out: FixedStep(step=5e-05, method="heun")."""
     arguments = []
     for field in dataclasses.fields(part):
         value, default = getattr(part, field.name), field.default

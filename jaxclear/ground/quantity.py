@@ -73,12 +73,10 @@ class FieldRule(NamedTuple):
 
     def admits(self, value: Any) -> bool:
         """Whether the field may hold this value; ranges of numbers apart."""
-        if self.number and isinstance(value, jax.Array):
-            return value.ndim == 0 and value.dtype == FLOAT64
-        if isinstance(value, self.allowed):
+        if isinstance(value, self.allowed) or (self.number and _is_quantity(value)):
             return True
         if self.counts is not None and isinstance(value, tuple):
-            fits = all(isinstance(x, jax.Array) and x.ndim == 0 for x in value)
+            fits = all(_is_quantity(x) for x in value)
             return fits and (len(value) in self.counts if self.counts else len(value) > 0)
         if self.entries is not None and isinstance(value, tuple):
             fits = all(_is_simple(x, SIMPLE[self.entries][0]) for x in value)
@@ -88,6 +86,17 @@ class FieldRule(NamedTuple):
         if not _is_simple(value, self.simple):
             return False
         return self.least is None or value >= self.least
+
+
+def _is_quantity(value: Any) -> bool:
+    """Whether something is a quantity, or what `with_quantities` makes one of, once equinox.tree_at
+    has put it there."""
+    if isinstance(value, jax.Array):
+        return value.ndim == 0 and value.dtype == FLOAT64
+    try:
+        return is_one_number(value) and as_number(value) is not None
+    except ValueError:
+        return False
 
 
 def _is_simple(value: Any, kinds: tuple[type, ...]) -> bool:
@@ -108,11 +117,12 @@ def _rule(field: dataclasses.Field) -> FieldRule | None:
     measured = "unit" in field.metadata
     counts = field.metadata.get("counts", ())
     several = measured and (tuple in kinds or "counts" in field.metadata)
-    either = tuple in kinds and bool({*kinds} - {tuple, NoneType})
+    functions = {k for k in kinds if k is Callable or get_origin(k) is Callable}
+    either = tuple in kinds and bool({*kinds} - {tuple, NoneType} - functions)
     allowed = [k for k in kinds if isinstance(k, type) and issubclass(k, eqx.Module)]
     optional = NoneType in kinds or (field.default is None)
     simple = tuple(one for k in kinds if k in SIMPLE for one in SIMPLE[k][0])
-    function = Callable in kinds or any(get_origin(k) is Callable for k in kinds)
+    function = bool(functions)
     tuples = [k for k in kinds if isinstance(k, GenericAlias) and get_origin(k) is tuple]
     entries, length = None, None
     if tuples and get_args(tuples[0])[0] in SIMPLE:

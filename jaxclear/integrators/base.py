@@ -382,4 +382,4 @@ def searching_steps(
     answer = arrived(state, steps, warm_start, None, watch)
     residual = jax.tree.leaves(warm_start)[0][-1]
     failed = (answer.outcome == Outcome.REACHED) & (residual > loose)
-    return answer._replace(outcome=jnp.where(failed, Outcome.LAWS_NOT_MET, answer.outcome))
+    return answer._replace(outcome=jnp.where(failed, Outcome.LAWS_NOT_SATISFIED, answer.outcome))

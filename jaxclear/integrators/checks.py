@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from jaxclear.ground.argument_errors import Renamed
 from jaxclear.ground.outcome import AbstractOutcome
 from jaxclear.ground.printing import AbstractShown
 from jaxclear.ground.quantity import constant, is_traced, on_numbers
@@ -43,7 +44,7 @@ class Outcome(AbstractOutcome):
         "The mechanism gained energy that nothing gave it: the steps are too long for its contacts "
         "or loads. Take shorter ones.",
     )
-    LAWS_NOT_MET = (
+    LAWS_NOT_SATISFIED = (
         5,
         "The laws of contact or friction were not met: the sweeps over the joints were used up far "
         "from their solution. Allow more of them (max_sweeps); joints that lock themselves "
@@ -54,7 +55,7 @@ class Outcome(AbstractOutcome):
         7,
         "A number of the mechanism lies outside its range (a negative clearance, say).",
     )
-    LOOP_TORN = (
+    LOOP_OPEN = (
         8,
         "A loop came open by more than a run can mend: the steps are too long for this motion. "
         "Take shorter ones, or stabilisation=jaxclear.Projection().",
@@ -65,7 +66,7 @@ class Outcome(AbstractOutcome):
         "Drive another joint, or keep the drive within reach.",
     )
 
-    SUNK_IN = (
+    PENETRATION_EXCEEDED = (
         10,
         "A journal, ball or slider sank into the wall that holds it by more than its own radius: "
         "for these loads and speeds the contact is too soft, or the steps are too long. Look at "
@@ -80,7 +81,7 @@ class Outcome(AbstractOutcome):
         "steps, which pass such places more often.",
     )
 
-    OFF_THE_WALLS = (
+    GUIDE_RANGE_EXCEEDED = (
         12,
         "A slider left the walls of its guide that wear: its corners went beyond "
         "guide_length about guide_middle. Give the SliderGuide longer walls, or another middle.",
@@ -92,6 +93,11 @@ class Outcome(AbstractOutcome):
         "of its ways to assemble meet lies between the two. Vary its numbers less, or give start= "
         "or guess= for more joints.",
     )
+
+    SUNK_IN = Renamed("PENETRATION_EXCEEDED")
+    LAWS_NOT_MET = Renamed("LAWS_NOT_SATISFIED")
+    LOOP_TORN = Renamed("LOOP_OPEN")
+    OFF_THE_WALLS = Renamed("GUIDE_RANGE_EXCEEDED")
 
     @property
     def began(self) -> bool:
@@ -147,7 +153,7 @@ class Check(AbstractCheck):
         LOOPS,
         'the loop closed by joint "{place}" is open by {figure:.2g} of its shortest part (limit '
         "{limit:g}): take shorter steps or stabilisation=jaxclear.Projection()",
-        (3e-2, Outcome.LOOP_TORN),
+        (3e-2, Outcome.LOOP_OPEN),
     )
     # The same beside the smallest clearance: where journals are is off by as much.
     LOOP_DRIFT_IN_GAPS = (
@@ -178,7 +184,7 @@ class Check(AbstractCheck):
         CONTACTS,
         'the indentation in joint "{place}" reaches {figure:.2g} of its radius (limit {limit:g}), '
         "for which no contact law was made: look at stiffness, loads and start",
-        (1.0, Outcome.SUNK_IN),
+        (1.0, Outcome.PENETRATION_EXCEEDED),
     )
     LOAD_STEP = (
         21,

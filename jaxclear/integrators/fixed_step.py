@@ -14,10 +14,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxclear.formulations.closing import closed
 from jaxclear.formulations.compliant import CompliantContact
 from jaxclear.formulations.impact_speed import has_bristles, put_right
+from jaxclear.formulations.loop_closing import closed
 from jaxclear.formulations.model import Model
+from jaxclear.ground.arguments import check_name
 from jaxclear.ground.grouping import packed, unpacked
 from jaxclear.ground.quantity import (
     Scalar,
@@ -29,7 +30,6 @@ from jaxclear.ground.quantity import (
     quantity,
 )
 from jaxclear.ground.tangents import allow_first_derivative
-from jaxclear.ground.wording import unknown
 from jaxclear.integrators import munthe_kaas
 from jaxclear.integrators.base import (
     FIRST_ORDER,
@@ -50,17 +50,17 @@ from jaxclear.integrators.saltation import NODES, WEIGHTS, through_touches
 from jaxclear.integrators.variational import not_resolved, resolved_steps, so_far, trust_resolved
 from jaxclear.native import while_loop
 
-# Explicit Runge-Kutta methods in which each stage starts from the slope of the one before: (nodes,
-# weights).
-CHAINS: dict[str, tuple[tuple[float, ...], tuple[float, ...]]] = {
-    "euler": ((0.0,), (1.0,)),
+# The method on the group of the coordinates.
+ON_GROUP = "munthe_kaas4"
+# Nodes and weights of explicit Runge-Kutta methods; of those that are not on the group each stage
+# starts from the slope of the one before.
+STAGES: dict[str, tuple[tuple[float, ...], tuple[float, ...]]] = {
     "semi_implicit": ((0.0,), (1.0,)),
     "heun": ((0.0, 1.0), (0.5, 0.5)),
     "rk4": (NODES, WEIGHTS),
+    ON_GROUP: munthe_kaas.stages(4),
 }
-# Methods on the group of the coordinates, by their order.
-ON_GROUPS = {f"munthe_kaas{order}": order for order in munthe_kaas.TABLEAUS}
-ORDERS = {"euler": 1, "semi_implicit": 1, "heun": 2, "rk4": 4} | ON_GROUPS
+ORDERS = {"semi_implicit": 1, "heun": 2, "rk4": 4, ON_GROUP: 4}
 
 
 def near_contacts(contacts: Any, last: Any, longest: Any) -> Any:
@@ -101,16 +101,14 @@ def explicit_step(
     program twice, and what only the first decides is not worked out in the others."""
     time, h, rest = clock
     length = chosen_length(h, rest)
-    if method in ON_GROUPS:
+    if method == ON_GROUP:
         looks = last is not None or rest is not None
-        return _step_on_group(
-            formulation, method, model, (time, h, length if looks else None), y, last
-        )
+        return _step_on_group(formulation, model, (time, h, length if looks else None), y, last)
     h, y, slope, last = _first_stage(formulation, method, model, (time, length), y, last)
-    nodes, weights = (jnp.asarray(part) for part in CHAINS[method])
+    nodes, weights = (jnp.asarray(part) for part in STAGES[method])
     end = y + (h * weights[0]) * slope
     if method == "semi_implicit":
-        end = _kicked(formulation, model, (time, h), y, end)
+        return h, _kicked(formulation, model, (time, h), y, end), last
 
     def further(carry, stage):
         end, slope = carry
@@ -118,10 +116,8 @@ def explicit_step(
         slope = formulation.rate(model, time + node, y + node * slope)[0]
         return (end + (h * weights[stage]) * slope, slope), None
 
-    stages = np.arange(1, len(CHAINS[method][0]))
-    if len(stages):
-        end = jax.lax.scan(further, (end, slope), stages)[0][0]
-    return h, end, last
+    stages = np.arange(1, len(STAGES[method][0]))
+    return h, jax.lax.scan(further, (end, slope), stages)[0][0], last
 
 
 def _first_stage(
@@ -135,7 +131,7 @@ def _first_stage(
     h = length(contacts, last)
     if last is None:
         return h, y, slope, None
-    y = _taken_up(formulation, model, (time, y), (last[0], contacts), (last[1], CHAINS[method]))
+    y = _taken_up(formulation, model, (time, y), (last[0], contacts), (last[1], STAGES[method]))
     return h, y, slope, (contacts, h)
 
 
@@ -164,9 +160,7 @@ def _kicked(formulation: Any, model: Model, clock: tuple, y: Any, end: Any) -> A
     return jnp.concatenate([after[:first], y[first:] + h * powers])
 
 
-def _step_on_group(
-    formulation: Any, method: str, model: Model, clock: tuple, y: Any, last: Any
-) -> tuple:
+def _step_on_group(formulation: Any, model: Model, clock: tuple, y: Any, last: Any) -> tuple:
     """As `explicit_step`; the contacts are looked at beforehand, where something depends on
     them."""
     time, h, length = clock
@@ -174,14 +168,14 @@ def _step_on_group(
         contacts = formulation.contacts(model, time, y)
         h = length(contacts, last)
         if last is not None:
-            stages = munthe_kaas.stages(ON_GROUPS[method])
-            y = _taken_up(formulation, model, (time, y), (last[0], contacts), (last[1], stages))
+            step = last[1], STAGES[ON_GROUP]
+            y = _taken_up(formulation, model, (time, y), (last[0], contacts), step)
             last = contacts, h
 
     def rate(time, y):
         return formulation.rate(model, time, y)[0]
 
-    return h, munthe_kaas.fixed_step(state_group(model), rate, ON_GROUPS[method], time, h, y), last
+    return h, munthe_kaas.fixed_step(state_group(model), rate, time, h, y), last
 
 
 # Step [s] of studies that ask for no other.
@@ -203,19 +197,17 @@ class FixedStep(AbstractIntegrator):
 
     Derivatives are those of the discrete run: where contacts open and close, by "rk4" without
     `steps_per_save` those of the motion (`saltation`; within 1e-3 through six bounces of Hertzian
-    laws in steps of 20 us). So are those of "heun", "semi_implicit" and "euler" without
-    `steps_per_save` and `contact_steps`: of the motion, which is integrated beside the run
-    (`variational`), nan where that differs from it by 3 % of the narrowest gap. Else they are not
-    those of the motion (`jaxclear.sensitivity` compares methods). Without `steps_per_save` they are
-    nan too where steps twice as long show that they are off by a hundredth
-    (`jaxclear.explain_nan`).
+    laws in steps of 20 us). So are those of "heun" and "semi_implicit" without `steps_per_save` and
+    `contact_steps`: of the motion, which is integrated beside the run (`variational`), nan where
+    that differs from it by 3 % of the narrowest gap. Else they are not those of the motion
+    (`jaxclear.sensitivity` compares methods). Without `steps_per_save` they are nan too where steps
+    twice as long show that they are off by a hundredth (`jaxclear.explain_nan`).
 
     Args:
         step: largest step [s], > 0.
         method: name of the method: "rk4"; "heun", whose energy grows slowly; "semi_implicit"
-            (symplectic Euler: order 1, one evaluation a step, no drift of the energy); "euler",
-            which gains energy; or "munthe_kaas1" to "munthe_kaas4" (order 1 to 4), which keep
-            rotations on their group, see `MuntheKaas`.
+            (symplectic Euler: order 1, one evaluation a step, no drift of the energy); or
+            "munthe_kaas4" (order 4), which keeps rotations on their group, see `MuntheKaas`.
         steps_per_save: number of steps between two saving times, >= 1, in place of `step`:
             reverse-mode derivatives (`jax.grad`) then go backwards through the steps, which pays
             off for hundreds of numbers, but not through friction in ideal joints. None by default.
@@ -236,8 +228,7 @@ class FixedStep(AbstractIntegrator):
     contact_steps: Scalar | None = quantity(None, "1", at_least=1, kw_only=True)
 
     def __check_init__(self):
-        if self.method not in CHAINS and self.method not in ON_GROUPS:
-            raise ValueError(unknown("fixed-step method", self.method, [*CHAINS, *ON_GROUPS]))
+        check_name("fixed-step method", self.method, STAGES)
         if self.contact_steps is not None and self.steps_per_save is not None:
             raise ValueError(
                 "integrator.FixedStep takes contact_steps or steps_per_save, not both: short steps "
@@ -248,8 +239,7 @@ class FixedStep(AbstractIntegrator):
         return self.step if self.steps_per_save is None else None
 
     def evaluations(self, mechanism):
-        chain = CHAINS.get(self.method)
-        return len((chain or munthe_kaas.stages(ON_GROUPS[self.method]))[0])
+        return len(STAGES[self.method][0])
 
     def shortest_step(self):
         step = self.requested_step()
@@ -296,7 +286,7 @@ class FixedStep(AbstractIntegrator):
         if not model.layout.contacts:
             return None, None, None
         contacts = self.formulation.contacts(model, start, state)
-        if self._derived(model) and self._separate:
+        if self._derived(model) and self.method != "rk4":
             damped = self.formulation.damped(model)
             separate = not_resolved(model.layout.size, len(contacts.depths), damped)
             return contacts, jnp.ones(()), separate
@@ -307,17 +297,12 @@ class FixedStep(AbstractIntegrator):
 
     @property
     def through_contacts(self):
-        same_step = self.method in CHAINS and self.contact_steps is None
+        same_step = self.method != ON_GROUP and self.contact_steps is None
         return self.steps_per_save is None and (self.method == "rk4" or same_step)
 
     def beyond_flanks(self, mechanism):
-        # The motion beside the steps is measured by the gaps of joints.
-        return FLANKS if self._separate else self.beyond_touches(mechanism)
-
-    @property
-    def _separate(self):
-        """Whether derivatives through contacts are those of the motion beside the steps."""
-        return self.method != "rk4"
+        # Other methods than rk4 integrate the motion too, and measure it by the gaps of joints.
+        return self.beyond_touches(mechanism) if self.method == "rk4" else FLANKS
 
     def _stepped(self, model, so_far):
         """A step behind these peaks, of ((time [s], lengths...), state, last, met)."""
@@ -343,7 +328,7 @@ class FixedStep(AbstractIntegrator):
                 forces = part.formulation.normal_forces(model, end, after)
             return risen(peaks, after.depths, forces)
 
-        if self._derived(model) and self._separate:
+        if self._derived(model) and self.method != "rk4":
             return self._step_resolved(rest, arrays, plain, look_at)
         length = lambda clock, *look_at: chosen_length(*clock[1:])(*look_at)
         through = through_touches(self.formulation, rest, plain, length, look_at)
@@ -377,7 +362,7 @@ class FixedStep(AbstractIntegrator):
 
     def _trusted(self, model, end, peaks, watch, last):
         """All that was found, where its derivative can be trusted; rates at events have none."""
-        if self._derived(model) and self._separate:
+        if self._derived(model) and self.method != "rk4":
             return trust_resolved(end, peaks, watch, last[2])
         if not self._derived(model):
             return end, peaks, watch
@@ -397,12 +382,12 @@ class FixedStep(AbstractIntegrator):
             index, start, last, peaks, watch = carry
             time = interval.start + index * h
             _, y, now, peaks = step((time, h, None), start, last, peaks)
-            if not (self._derived(model) and self._separate):
+            if not (self._derived(model) and self.method != "rk4"):
                 y = closed(model, time + h, y, h)
             watch = watched(watch, model, time, h, start, y)
             return index + 1, y, now, peaks, watch
 
-        if self._derived(model) and self._separate:
+        if self._derived(model) and self.method != "rk4":
             *starts, separate = warm_start
             warm_start = *starts, so_far(separate)
         watch = watch_from(model, interval.start, state)

@@ -8,11 +8,11 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from jaxclear.formulations import contact_rows
-from jaxclear.formulations.closing import closed
 from jaxclear.formulations.compliant import CompliantContact
 from jaxclear.formulations.contact_rows import TimeStep
 from jaxclear.formulations.contacts_over_step import damped
 from jaxclear.formulations.films_over_step import films_of
+from jaxclear.formulations.loop_closing import closed
 from jaxclear.formulations.midpoint_step import surplus
 from jaxclear.formulations.model import Model, State
 from jaxclear.ground import sparse as sp

@@ -34,9 +34,9 @@ import jax.numpy as jnp
 from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array
 
-from jaxclear.formulations.closing import closed
 from jaxclear.formulations.contact_rows import TimeStep
 from jaxclear.formulations.loads_over_step import may_strike
+from jaxclear.formulations.loop_closing import closed
 from jaxclear.formulations.model import Model, State
 from jaxclear.formulations.rigid import RigidContact, Strikes
 from jaxclear.formulations.unilateral import MoreauJeanSettings

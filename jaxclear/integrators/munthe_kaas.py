@@ -343,11 +343,11 @@ def group_of(term: Any) -> AbstractGroup:
 
 
 def fixed_step(
-    group: StateGroup, rate_of: Callable, order: int, time: Any, h: Any, y: Float[Array, " n"]
+    group: StateGroup, rate_of: Callable, time: Any, h: Any, y: Float[Array, " n"]
 ) -> Float[Array, " n"]:
-    """The state after a step h [s], without an estimate of its error; `rate_of(time, y)`: the
-    state's rate."""
-    table = TABLEAUS[order]
+    """The state after a step h [s] of order 4, without an estimate of its error; `rate_of(time,
+    y)`: the state's rate."""
+    table = TABLEAUS[4]
     unknown = jnp.zeros(sum(span.width for span in group.spans))
 
     def rate(share, y):

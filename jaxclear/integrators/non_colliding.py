@@ -6,8 +6,8 @@ from typing import ClassVar
 
 import equinox as eqx
 
-from jaxclear.formulations.closing import closed
 from jaxclear.formulations.joint_friction import NonCollidingSettings
+from jaxclear.formulations.loop_closing import closed
 from jaxclear.formulations.permanent import PermanentContact
 from jaxclear.ground.quantity import Scalar, on_device, on_host, quantity
 from jaxclear.integrators.base import PERMANENT, AbstractIntegrator, searching_steps

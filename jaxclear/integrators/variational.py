@@ -28,7 +28,7 @@ import numpy as np
 from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array
 
-from jaxclear.formulations import closing
+from jaxclear.formulations import loop_closing
 from jaxclear.formulations.compliant import CompliantContact
 from jaxclear.formulations.impact_speed import ContactMotion, cubic, passage, summit
 from jaxclear.ground.grouping import bare, unpacked
@@ -87,7 +87,7 @@ def resolved_steps(formulation: CompliantContact, rest: Any, plain: Callable) ->
         return formulation.remember(model, y, contacts, contacts, length)
 
     def close(arrays, time, length, y):
-        return closing.closed(unpacked(arrays, rest), time, y, length)
+        return loop_closing.closed(unpacked(arrays, rest), time, y, length)
 
     def step(arrays, clock, y, last, peaks, resolved):
         end, *rest_of = plain(arrays, clock, y, last, peaks)

@@ -395,7 +395,8 @@ def first_search(mechanism: Mechanism, concentric: bool, worn: dict | None = Non
     first = _judged(bare, concentric, worn, begin, _is_drawn(bare, concentric, worn))
     tree = assembly_modes.Coordinates(bare, first.seed, first.arm)
     judged = lambda m: _judged(m, concentric, worn, begin)[:2]
-    values, start, sound = _with_redundancy(bare, first.start, first.sound, 0.0, judged)
+    is_near = lambda: assembly_modes.is_near_seed(tree, first.start)
+    values, start, sound = _with_redundancy(bare, first.start, first.sound, 0.0, judged, is_near)
     # Redundant rows that motion never changes say nothing new.
     searched = values if values.topology.searched else bare
     sought = None if is_solved(bare, concentric) else searched
@@ -465,11 +466,16 @@ def ready_from(
 
 
 def _with_redundancy(
-    bare: Mechanism, start: Start, sound: Any, time: Any, assembled: Callable
+    bare: Mechanism,
+    start: Start,
+    sound: Any,
+    time: Any,
+    assembled: Callable,
+    is_near: Callable[[], bool] = lambda: True,
 ) -> tuple[Mechanism, Start, Any]:
     """The mechanism with its redundancy, the start, and whether it is sound, assembled anew where
-    rows that depend on each other have left loops open, closed by as many as are independent, and
-    where a damped search closes loops that were not."""
+    rows that depend on each other have left loops open or have led far away (not `is_near`), closed
+    by as many as are independent, and where a damped search closes loops that were not."""
     if not bare.topology.loops:
         return bare, start, sound
     place = start
@@ -482,7 +488,8 @@ def _with_redundancy(
     if values.topology.depend:
         # Loops that are closed but for rounding need not be closed anew.
         is_closed = sound and start_check.open_by(start, start_check.ROUNDED) == 0
-        return (values, start, sound) if is_closed else (values, *assembled(values))
+        is_final = is_closed and is_near()
+        return (values, start, sound) if is_final else (values, *assembled(values))
     if not sound and start_check.open_by(place) == 0 < start_check.open_by(start):
         far = with_redundancy(bare, redundancy.searched(result, start))
         other, fine = assembled(far)

@@ -112,14 +112,23 @@ def at_guess(mechanism: Mechanism) -> Beginning:
 
 def has_landed(tree: "Coordinates", start: Start) -> bool:
     """Whether a start is so near to what is guessed that no other mode can be nearer, or about as
-    near: another one is at least 2 s/L away, s the smallest singular value of the rows that are
-    held and L a bound of their change with the coordinates (from 0 = J d + (L/2) d^2). The second
-    derivative of a chain's end by two of its turns is as long as the first by one of them, so L is
-    taken as the norm of J times the root of the number of turns.
-    """
+    near."""
     far = tree.distance(start)
-    if far <= start_check.EXACT:
-        return True
+    return far <= start_check.EXACT or _is_nearest(start, far)
+
+
+def is_near_seed(tree: "Coordinates", start: Start) -> bool:
+    """The same of all coordinates, those too of which nothing is guessed."""
+    far = tree.difference(np.asarray(start.coordinates), tree.seed)
+    return _is_nearest(start, float(np.linalg.norm(far)))
+
+
+def _is_nearest(start: Start, far: float) -> bool:
+    """Whether no other mode can be as near to a place that is so `far` from a start: another one
+    is at least 2 s/L away, s the smallest singular value of the rows that are held and L a bound of
+    their change with the coordinates (from 0 = J d + (L/2) d^2). The second derivative of a chain's
+    end by two of its turns is as long as the first by one of them, so L is taken as the norm of J
+    times the root of the number of turns."""
     rows = np.asarray(start.rows)
     if not rows.size or not np.all(np.isfinite(rows)):
         return not rows.size

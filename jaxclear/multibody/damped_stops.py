@@ -11,7 +11,7 @@ from typing import Any
 import equinox as eqx
 import jax.numpy as jnp
 
-from jaxclear.components.acting import AbstractCoordinateLoad, AbstractStateLoad
+from jaxclear.components.load_base import AbstractCoordinateLoad, AbstractStateLoad
 from jaxclear.ground.quantity import Scalar
 from jaxclear.laws.rebound import damping_ratio_of
 from jaxclear.multibody import constraints, dynamics, kinematics, tree

@@ -6,8 +6,8 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from jaxclear.components.acting import AbstractCoordinateLoad
 from jaxclear.components.clearance.backlash import middle_of
+from jaxclear.components.load_base import AbstractCoordinateLoad
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.quantity import is_traced
 from jaxclear.ground.wording import listed

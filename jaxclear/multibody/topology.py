@@ -14,7 +14,6 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from jaxclear.components.acting import acts_on_coordinates
 from jaxclear.components.body import GROUND, Body, Connection
 from jaxclear.components.clearance import AbstractClearance
 from jaxclear.components.coupling import (
@@ -24,6 +23,7 @@ from jaxclear.components.coupling import (
 )
 from jaxclear.components.joint import AbstractJoint, AbstractRubbingJoint, Free, Planar, Revolute
 from jaxclear.components.joint.base import drive_of
+from jaxclear.components.load_base import acts_on_coordinates
 from jaxclear.ground.quantity import numbers
 from jaxclear.ground.wording import listed
 

@@ -16,7 +16,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxclear.components.acting import acts_on_coordinates
 from jaxclear.components.beam import Beam
 from jaxclear.components.body import GROUND, Body, Connection, Marker
 from jaxclear.components.clearance import AbstractClearance
@@ -42,6 +41,7 @@ from jaxclear.components.load import (
     JointMotion,
     MarkerMotion,
 )
+from jaxclear.components.load_base import acts_on_coordinates
 from jaxclear.ground.arguments import check_name, expect
 from jaxclear.ground.pose import Pose
 from jaxclear.ground.quantity import check_kinds, check_range, is_one_number, is_traced, numbers
@@ -382,7 +382,7 @@ def _check_slots(what: str, module: eqx.Module) -> None:
     for field in dataclasses.fields(module):
         value = getattr(module, field.name)
         if isinstance(value, eqx.Module):
-            _check_slots(f"{what}, {field.name},", value)
+            _check_slots(f"{what.removesuffix(',')}, {field.name},", value)
 
 
 def check_values(what: str, part: Any) -> None:

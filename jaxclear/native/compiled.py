@@ -24,8 +24,8 @@ from jax.extend.core import Jaxpr, Literal, jaxpr_as_fun
 
 from jaxclear.ground import cache_folder
 from jaxclear.ground.compiling import uncollected
-from jaxclear.ground.latest import Latest
 from jaxclear.ground.quantity import is_traced, is_tracing
+from jaxclear.ground.recent_results import Latest
 from jaxclear.native import check, dispatch, verdicts
 from jaxclear.native.derivative_rules import columns_p
 from jaxclear.native.forms import Untold, function_in_text, in_text, surroundings, tree_in_text

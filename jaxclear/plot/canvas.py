@@ -154,8 +154,9 @@ def shades(count: int) -> list:
 
 
 def check_run(run: Any) -> None:
-    """Raises `ValueError` for what is no run."""
+    """Raises `ValueError` for what is no run, or several of them."""
     expect(run, Trajectory, "the run", "a run, as jaxclear.simulate returns it")
+    run.history.check_single()
 
 
 def setting(run: Trajectory, joint: str) -> str:

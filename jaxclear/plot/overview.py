@@ -165,8 +165,8 @@ def positions(result: Positions, *, ax: Any = None) -> Any:
     seats_axis.set_ylabel(f"y [{unit}]")
     if seats:
         key(seats_axis)
-    missing = int(np.sum(~np.asarray(result.found)))
-    sheet.title(f"{len(result.found)} positions, {missing} not found")
+    missing = int(np.sum(~np.asarray(result.is_solved)))
+    sheet.title(f"{len(result.is_solved)} positions, {missing} not found")
     return sheet.done()
 
 

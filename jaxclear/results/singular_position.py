@@ -5,6 +5,7 @@ are not determined.
 
 import equinox as eqx
 
+from jaxclear.ground.argument_errors import Renamed
 from jaxclear.ground.printing import with_text_repr
 
 
@@ -19,7 +20,8 @@ class SingularPosition(eqx.Module):
         time: time [s].
         free: the joint whose direction the drives do not determine there.
         drives: joints whose drives act on the loop.
-        turned: whether the run left in another direction than inertia requires; None: not known.
+        is_reversed: whether the run left in another direction than inertia requires; None: not
+            known.
         speeds: speed of the joint `free` before and after [rad/s, m/s].
     """
 
@@ -27,13 +29,15 @@ class SingularPosition(eqx.Module):
     time: float = eqx.field(static=True)
     free: str = eqx.field(static=True, default="")
     drives: tuple[str, ...] = eqx.field(static=True, default=())
-    turned: bool | None = eqx.field(static=True, default=None)
+    is_reversed: bool | None = eqx.field(static=True, default=None)
     speeds: tuple[float, float] = eqx.field(static=True, default=(0.0, 0.0))
+    turned = Renamed("is_reversed")
+    passed = Renamed("is_passed")
 
     @property
-    def passed(self) -> bool:
+    def is_passed(self) -> bool:
         """Whether the run continued in the direction that inertia requires."""
-        return self.turned is False
+        return self.is_reversed is False
 
     def __str__(self) -> str:
         if not self.free:
@@ -47,9 +51,9 @@ class SingularPosition(eqx.Module):
             "on there."
         )
         before, after = (f"{speed:.3g}" for speed in self.speeds)
-        if self.turned is None:
+        if self.is_reversed is None:
             return f"{first} Saved states do not tell which way it went: save more often."
-        if self.turned:
+        if self.is_reversed:
             sentence = f"The run turned it round, its speed from {before} to {after}"
             return f"{first} {sentence}; nothing pushed it."
         return f"{first} It went on as its inertia has it."
@@ -59,14 +63,14 @@ def in_sentences(positions: tuple[SingularPosition, ...]) -> tuple[str, ...]:
     """A sentence for the first singular position of each loop and kind, with the number of others.
 
     Args:
-        found: singular positions in the order of time.
+        positions: singular positions in the order of time.
 
     Returns:
         The sentences.
     """
     kinds: dict[tuple, list[SingularPosition]] = {}
     for one in positions:
-        kinds.setdefault((one.joint, one.free, one.turned), []).append(one)
+        kinds.setdefault((one.joint, one.free, one.is_reversed), []).append(one)
     sentences = []
     for group in kinds.values():
         more = len(group) - 1

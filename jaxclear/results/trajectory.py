@@ -236,7 +236,7 @@ class Trajectory(AbstractShown):
         """
         self.history.check_single()
         if self.succeeded:
-            odd = in_sentences(tuple(one for one in self.singular_positions if not one.passed))
+            odd = in_sentences(tuple(one for one in self.singular_positions if not one.is_passed))
             return (
                 self.assembly_warnings + self.invariants.warnings + odd + self.verification.warnings
             )
@@ -254,7 +254,7 @@ class Trajectory(AbstractShown):
         topology = self.mechanism.topology
         remarks = [f"The loops are {topology.redundancy}"] if topology.overconstrained else []
         if self.succeeded:
-            remarks += in_sentences(tuple(one for one in self.singular_positions if one.passed))
+            remarks += in_sentences(tuple(one for one in self.singular_positions if one.is_passed))
         return *remarks, *self.verification.notes
 
     def estimate(self, response: Callable[["Trajectory"], Any]) -> Estimate:

@@ -9,9 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from jaxclear.components.acting import acts_on_coordinates
 from jaxclear.components.clearance.backlash import middle_of
 from jaxclear.components.coupling import AbstractForceCoupling
+from jaxclear.components.load_base import acts_on_coordinates
 from jaxclear.formulations.loads_over_step import forces_of_means, impulse_of
 from jaxclear.formulations.model import Instant
 from jaxclear.ground import sparse as sp

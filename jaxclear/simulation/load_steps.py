@@ -17,13 +17,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxclear.components.acting import acts_on_coordinates
 from jaxclear.components.drive import AbstractDrive
 from jaxclear.components.function_of_time import AbstractFunctionOfTime
 from jaxclear.components.joint.base import drive_of
+from jaxclear.components.load_base import acts_on_coordinates
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.latest import Key
 from jaxclear.ground.quantity import concrete, is_traced, on_device, on_host
+from jaxclear.ground.recent_results import Key
 from jaxclear.integrators.adaptive import Adaptive
 from jaxclear.integrators.base import SLIVER, AbstractIntegrator
 from jaxclear.integrators.checks import Check, Checks, Figure

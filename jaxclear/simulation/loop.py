@@ -374,10 +374,10 @@ class Turn:
         ending = jnp.where(failed, Outcome.NOT_FINITE, result.outcome)
         is_off = is_off_surface(model.system, layout, result.state)
         if is_off is not False:
-            ending = jnp.where(is_off, Outcome.OFF_THE_WALLS, ending)
+            ending = jnp.where(is_off, Outcome.GUIDE_RANGE_EXCEEDED, ending)
         if result.peaks is not None:
             is_deep = (ending == Outcome.REACHED) & is_too_deep(model.system, result.peaks.depths)
-            ending = jnp.where(is_deep, Outcome.SUNK_IN, ending)
+            ending = jnp.where(is_deep, Outcome.PENETRATION_EXCEEDED, ending)
         outcome = jnp.where(running, ending, now.outcome)
         ended = jnp.where(running & (outcome == Outcome.REACHED), span.stop, now.ended)
         more = lambda before, new: before + jnp.where(running, new, 0)

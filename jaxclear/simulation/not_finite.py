@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxclear.components.acting import AbstractStateLoad
+from jaxclear.components.load_base import AbstractStateLoad
 from jaxclear.formulations.model import Instant
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.quantity import constant

@@ -24,9 +24,9 @@ from jaxclear.errors.estimates import HALF, Verified
 from jaxclear.errors.verification import Replica, verify_run
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_flags, check_number, expect
-from jaxclear.ground.latest import Key, Latest, Value
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.quantity import is_traced, on_host, with_quantities
+from jaxclear.ground.recent_results import Key, Latest, Value
 from jaxclear.ground.warning import count_warnings
 from jaxclear.integrators.adaptive import Adaptive
 from jaxclear.integrators.base import AbstractIntegrator

@@ -53,7 +53,7 @@ MAY_BE_SINGULAR = (
     Outcome.TOO_MANY_STEPS,
     Outcome.NOT_FINITE,
     Outcome.ENERGY_GAINED,
-    Outcome.LOOP_TORN,
+    Outcome.LOOP_OPEN,
 )
 # What may be left of a closure [rad, longest arms], and of a determinant beside its largest.
 CLOSED = 1e-6

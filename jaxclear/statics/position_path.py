@@ -303,8 +303,8 @@ def positions_at(
     read = method.read(scene, position, spots)
     finite = jnp.all(jnp.isfinite(spots.q), axis=-1)
     # From where the nominal mechanism stands a sample may fall to another way of assembly.
-    sound = read.found & finite & (spots.branch == starts.branch)
-    return Positions(scene, position, *read._replace(found=sound))
+    is_sound = read.is_solved & finite & (spots.branch == starts.branch)
+    return Positions(scene, position, *read._replace(is_solved=is_sound))
 
 
 def checked_positions(positions: Any) -> tuple[tuple[str, ...], np.ndarray]:

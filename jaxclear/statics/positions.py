@@ -16,6 +16,7 @@ from jaxtyping import Array, Float
 
 from jaxclear.components.body import Marker
 from jaxclear.ground import sparse as sp
+from jaxclear.ground.argument_errors import Renamed
 from jaxclear.ground.arguments import check_name
 from jaxclear.ground.datasets import Column, dataset, write_csv
 from jaxclear.ground.pose import quaternion_from_rotation
@@ -56,8 +57,8 @@ class Positions(AbstractShown):
         coordinates: coordinates of the tree [rad, m], shape (positions, q).
         seats: by joint with clearance where its journal rests, shape (positions, 5): offset [m] in
             the bearing's axes, slope of its axis [1].
-        found: whether the mechanism closes and each journal rests where its reaction presses it,
-            shape (positions,).
+        is_solved: whether the mechanism closes and each journal rests where its reaction presses
+            it, shape (positions,).
         side: sign of the loads, 1 or -1 [1].
         moving: which numbers of each seat are not zero by construction.
         other: the positions under reversed loads; None where they were not computed.
@@ -69,12 +70,13 @@ class Positions(AbstractShown):
     position: Float[Array, "positions drives"]
     coordinates: Float[Array, "positions q"]
     seats: dict[str, Float[Array, "positions 5"]]
-    found: Array
+    is_solved: Array
     side: float = eqx.field(static=True)
     # Numbers of each seat that are not zero by construction.
     moving: dict[str, tuple[int, ...]] = eqx.field(static=True)
     other: "Positions | None" = None
     carried: Carried | None = None
+    found = Renamed("is_solved")
 
     def __getitem__(self, index: int) -> "Positions":
         """One of a batch that `jax.vmap` has made of `PositionProblem.positions`.
@@ -89,7 +91,7 @@ class Positions(AbstractShown):
             ValueError: if this is no batch.
             IndexError: if the batch has fewer.
         """
-        return one_of(self, self.found, index)
+        return one_of(self, self.is_solved, index)
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -98,7 +100,7 @@ class Positions(AbstractShown):
         They name parts that no load presses or holds, and unstable equilibria of which one side was
         taken.
         """
-        check_single(self.found)
+        check_single(self.is_solved)
         if self.carried is None:
             return ()
         sentences, count = [], len(self.position)
@@ -121,14 +123,14 @@ class Positions(AbstractShown):
         return tuple(sentences)
 
     def _summary(self):
-        if np.ndim(self.found) > 1:
-            return f"A batch of {len(self.found)} at positions each; found[i] is one."
+        if np.ndim(self.is_solved) > 1:
+            return f"A batch of {len(self.is_solved)} at positions each; positions[i] is one."
         places = ", ".join(
             f"{name} from {values.min():.4g} to {values.max():.4g} {self._unit(name)}"
             for name, values in zip(self.scene.drives, np.asarray(self.position).T, strict=True)
         )
         both = ", also under reversed loads" if self.other is not None else ""
-        missing = int(np.sum(~np.asarray(self.found)))
+        missing = int(np.sum(~np.asarray(self.is_solved)))
         note = f" {missing} were not found." if missing else ""
         many = f"{len(self.position)} position{'s' if len(self.position) > 1 else ''}"
         first = f"{many}{both}: {places or 'at rest under its loads'}.{note}"
@@ -199,7 +201,7 @@ class Positions(AbstractShown):
         Raises:
             ValueError: if there is no such joint, or it closes a loop and has no coordinates.
         """
-        check_single(self.found)
+        check_single(self.is_solved)
         scene = self.scene
         branches = {branch.name: branch for branch in scene.mechanism.topology.branches}
         names = [*scene.mechanism.connections, *branches]
@@ -228,7 +230,7 @@ class Positions(AbstractShown):
         Raises:
             ValueError: if there is no such joint.
         """
-        check_single(self.found)
+        check_single(self.is_solved)
         check_name("joint", joint, self.seats, " with clearance in this mechanism")
         return self.seats[joint][:, :3]
 
@@ -293,7 +295,7 @@ class Positions(AbstractShown):
         for name in self.seats:
             meaning = f"journal against bearing of {name}, bearing axes"
             columns[f"{name}.offset"] = Column(axis, self.offset(name), "m", meaning)
-        columns["found"] = Column(over, self.found, "1", "whether the mechanism closes")
+        columns["found"] = Column(over, self.is_solved, "1", "whether the mechanism closes")
         return columns
 
     def _unit(self, name: str) -> str:
@@ -303,7 +305,7 @@ class Positions(AbstractShown):
         return joint.units[0]
 
     def _over(self, one: Callable[[Any], Any]) -> Any:
-        check_single(self.found)
+        check_single(self.is_solved)
         carried = self.carried
         if carried is not None:
 

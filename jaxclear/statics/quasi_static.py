@@ -24,12 +24,12 @@ import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array
 
-from jaxclear.components.acting import AbstractStateLoad
 from jaxclear.components.body import Connection
 from jaxclear.components.clearance import AbstractClearance, AbstractPermanentJoint
 from jaxclear.components.coupling import Latch, Motor
 from jaxclear.components.drive import ConstantPosition
 from jaxclear.components.joint.base import AbstractDrivenJoint, drive_of
+from jaxclear.components.load_base import AbstractStateLoad
 from jaxclear.formulations.permanent_reactions import Reaction, reaction_through
 from jaxclear.ground import factorisation
 from jaxclear.ground import sparse as sp
@@ -417,7 +417,7 @@ class Read(NamedTuple):
 
     coordinates: Array
     seats: dict[str, Array]
-    found: Array
+    is_solved: Array
     side: float
     moving: dict[str, tuple[int, ...]]
     other: Any = None

@@ -94,9 +94,9 @@ class PositionExperiment(AbstractExperiment):
 
     def evaluate(self, setting, *, discrete_derivatives=False):
         positions = self._positions(setting)
-        ok = jnp.all(positions.found)
+        ok = jnp.all(positions.is_solved)
         if positions.other is not None:
-            ok &= jnp.all(positions.other.found)
+            ok &= jnp.all(positions.other.is_solved)
         outcome = jnp.where(ok, Outcome.REACHED, Outcome.UNASSEMBLED)
         possible = in_range(positions.scene.mechanism, positions.scene.gaps)
         outcome = jnp.where(possible, outcome, Outcome.OUT_OF_RANGE)

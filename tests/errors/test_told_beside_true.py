@@ -43,7 +43,7 @@ def last(run):
 
 
 STEPS = {
-    "euler": (1, jc.integrator.FixedStep(5e-4, "euler")),
+    "semi_implicit": (1, jc.integrator.FixedStep(5e-4, "semi_implicit")),
     "heun": (2, jc.integrator.FixedStep(2e-3, "heun")),
     "rk4": (4, jc.integrator.FixedStep(1e-2, "rk4")),
     "implicit": (2, jc.integrator.ImplicitStep(2e-3)),
@@ -122,7 +122,7 @@ def test_a_chain_of_bounces_tells_how_far_off_it_is(law, rung):
 def test_archards_law_at_a_constant_load_is_within_its_told_error():
     """One turn of a ring: V = k F s / H, from a start at rest in the contact."""
     rig = wearing_ring(slope=0.0)
-    integrator = jc.integrator.FixedStep(5e-5, "euler")
+    integrator = jc.integrator.FixedStep(5e-5, "semi_implicit")
     run = jc.simulate(rig, TURN, save=SAVES, integrator=integrator)
     depth = ClosedForm(0.0).rate(0.0)
     width = 2 * math.pi * RADIUS * float(rig.connections["B"].joint.length)

@@ -2,8 +2,6 @@
 back what is no number.
 """
 
-import os
-
 import hypothesis.strategies as st
 import jax
 import jax.numpy as jnp
@@ -28,10 +26,6 @@ CORNERS = st.fixed_dictionaries(
     }
 )
 SPEEDS = st.sampled_from([0.0, 1e-6, 1.0, 1e3])
-# XLA of jaxlib 0.10.2 aborts the process (symbolic_map.cc:196) when it compiles the derivative of
-# this run with the multi-output fusion that jaxclear/__init__.py switches on; JAXCLEAR_PLAIN_XLA=1
-# compiles it, and it is finite.
-ABORTS = "xla_cpu_use_multi_output_fusion" in os.environ.get("XLA_FLAGS", "")
 INTEGRATORS = {
     "adaptive": jc.integrator.Adaptive(max_steps=300),
     "fixed": jc.integrator.FixedStep(step=1e-6),
@@ -82,9 +76,6 @@ def test_run_ends_or_says_why(kind, integrator):
     check()
 
 
-@pytest.mark.skipif(
-    ABORTS, reason="XLA's multi-output fusion aborts the process on this derivative"
-)
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["planar", "ball"])
 def test_derivative_of_a_run_from_concentric_rest_is_finite(kind):

@@ -216,8 +216,10 @@ FROM_REST = {
 }
 
 
-@pytest.mark.parametrize("turns", [False, True])
-@pytest.mark.parametrize("kind", FROM_REST)
+@pytest.mark.parametrize(
+    ("kind", "turns"),
+    [*((kind, False) for kind in FROM_REST), ("compliant", True), ("permanent", True)],
+)
 def test_what_little_more_than_its_friction_pushes_from_rest_goes_by_the_rest(kind, turns):
     """0.5 kg (kg m^2) under 1.0 N (N m) and 0.8 of friction: 0.4 t^2 / 2, whatever the joint."""
     integrator, accuracy = FROM_REST[kind]

@@ -18,6 +18,7 @@ from tests.integrators.test_derivatives_through_touches import (
     DOWN,
     ELASTIC,
     ENDS,
+    KINDS,
     LAWS,
     answer,
     assert_right,
@@ -150,7 +151,7 @@ def test_a_journal_at_rest_lies_lower_by_what_its_clearance_is_larger(stiffness)
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("law", "step"), [*((law, 2e-5) for law in LAWS), ("Flores", 1e-4), ("AdamsImpact", 1e-4)]
+    ("law", "step"), [*((law, 2e-5) for law in KINDS), ("Flores", 1e-4), ("AdamsImpact", 1e-4)]
 )
 def test_bounces_have_the_derivatives_of_the_motion(law, step):
     """Through one to six bounces; where a damper is cut off before contact ends, to 2 %."""

@@ -52,7 +52,6 @@ RUNGS = {
     "fixed": ("rotating", jc.integrator.FixedStep(2e-6), 1e-6),
     "implicit": ("rotating", jc.integrator.ImplicitStep(1e-4), 4e-4),
     "implicit, stiff": ("stiff", jc.integrator.ImplicitStep(1e-3), 1e-3),
-    "implicit, stiff, finer": ("stiff", jc.integrator.ImplicitStep(1e-4), 1e-4),
     "implicit, stiff, no bias": ("stiff", jc.integrator.ImplicitStep(1e-4, rebound=1.0), 2e-5),
 }
 

@@ -27,7 +27,7 @@ def held_journal(law, clearance=1e-4, speeds=(0.0, 0.0, 0.0), **rest):
     )
 
 
-@pytest.mark.parametrize("rebound", [1.0, 0.9, 0.5, 0.0])
+@pytest.mark.parametrize("rebound", [1.0, 0.9, 0.0])
 @pytest.mark.parametrize("angle", [0.3, 3.0])
 def test_linear_contact_is_damped_as_by_the_theta_method(rebound, angle):
     """A spring contact that weight keeps closed; |lambda|^2 = (1 + (1 - theta)^2 z^2) / (1 +
@@ -93,7 +93,7 @@ def test_a_run_goes_on_in_steps_of_another_length_as_it_rests(step):
     np.testing.assert_allclose(run.contact("B").normal_force[6:, 0], 300.0, rtol=1e-4)
 
 
-@pytest.mark.parametrize("rebound", [1.0, 0.9, 0.5, 0.0])
+@pytest.mark.parametrize("rebound", [1.0, 0.9, 0.0])
 def test_elastic_impact_within_a_step_keeps_the_rebound(rebound):
     """z is 50 or more. Radau's rule for the mean force, and what a last short contact gives back: 2
     % of the speed.

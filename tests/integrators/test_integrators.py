@@ -80,7 +80,6 @@ def four_bar():
 
 SMOOTH = {"top": (top(), 0.5), "four-bar": (four_bar(), 0.1)}
 ORDERS = {
-    "euler": (1, 400, lambda step: jc.integrator.FixedStep(step, "euler")),
     "semi_implicit": (1, 200, lambda step: jc.integrator.FixedStep(step, "semi_implicit")),
     "heun": (2, 100, lambda step: jc.integrator.FixedStep(step, "heun")),
     "rk4": (4, 50, lambda step: jc.integrator.FixedStep(step, "rk4")),

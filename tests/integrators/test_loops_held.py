@@ -25,7 +25,6 @@ OPENING = {
 }
 EXACT = {
     "rk4": jc.integrator.FixedStep(1e-4),
-    "group": jc.integrator.FixedStep(1e-4, "munthe_kaas4"),
     "adaptive": jc.integrator.Adaptive(),
 }
 QUICK = "semi-implicit", "non-colliding", "rk4", "adaptive"

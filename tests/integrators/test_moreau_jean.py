@@ -109,14 +109,14 @@ def simulate(mechanism, duration, save=11, step=STEP, **rest):
     )
 
 
-@pytest.mark.parametrize("angle", [0.1, 0.28, 0.291])
+@pytest.mark.parametrize("angle", [0.1, 0.291])
 def test_a_block_sticks_below_the_friction_angle(angle):
     found = simulate(block(mu_static=MU, angle=angle), 0.1)
     assert float(np.abs(found.body("block").com).max()) < 1e-12
     assert float(np.abs(found.body("block").velocity).max()) < 1e-12
 
 
-@pytest.mark.parametrize("angle", [0.292, 0.6, 1.5])
+@pytest.mark.parametrize("angle", [0.292, 1.5])
 def test_a_block_slides_above_the_friction_angle(angle):
     found = simulate(block(mu_static=MU, angle=angle), 0.1)
     rate = GRAVITY * (np.sin(angle) - MU * np.cos(angle))

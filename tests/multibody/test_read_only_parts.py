@@ -104,6 +104,17 @@ def test_a_changed_number_keeps_the_order_of_names_and_their_paths():
     assert type(again.loads["gravity"]) is jc.load.JointTorque
 
 
+@pytest.mark.parametrize("mass", [2.0, np.asarray(2.0), np.float32(2.0), 2])
+def test_a_changed_number_of_any_kind_is_one_where_parts_are_exchanged(mass):
+    heavier = eqx.tree_at(lambda m: m.bodies["fore"].mass, RIG, mass)
+    assert float(heavier.with_load("motor", LOAD).bodies["fore"].mass) == 2.0
+    wearing = jc.joint.PlainBearing(length=0.02, wear=jc.Wearing(jc.wear.Archard()))
+    hardness = lambda m: m.connections["elbow"].joint.wear.law.hardness
+    bad = eqx.tree_at(hardness, RIG.with_joint("elbow", wearing), True)
+    with pytest.raises(ValueError, match='joint "elbow", wear, law, has hardness = True'):
+        bad.with_load("motor", LOAD)
+
+
 def test_another_body_or_load_gives_another_mechanism():
     loaded = RIG.with_load("motor", LOAD)
     assert list(loaded.loads) == ["gravity", "motor"] and list(RIG.loads) == ["gravity"]

@@ -421,3 +421,42 @@ def test_where_drives_move_joints_speeds_follow_a_drawn_position():
         start={"B": -1.0, "D": 1.0},
     )
     np.testing.assert_allclose(jc.assemble(rig).speeds, (-3.0, 3.0), atol=1e-9)
+
+
+@pytest.mark.parametrize("crank", [0.5, -0.7])
+def test_superfluous_rows_lead_to_no_other_mode(crank):
+    """A planar four-bar of hinges in space closes as one whose loop has only the rows of a plane:
+    by the crank's angle, triangles tell where coupler and rocker are (law of cosines)."""
+    short, rod, long, foot = 0.05, 0.18, 0.12, np.array([0.2, 0.0])
+    # As drawn: the crank lies along x, the others up.
+    reach = foot - (short, 0.0)
+    ahead = (rod**2 - long**2 + reach[0] ** 2) / (2 * reach[0])
+    top = np.array([short + ahead, np.sqrt(rod**2 - ahead**2)])
+    place = lambda point: (*map(float, point), 0.0)
+    # An axis in numbers may be any: its loop has all rows of space.
+    normal = (0.0, 0.0, 1.0)
+    hinge, bar = jc.joint.Revolute(), jc.Body(0.2, (1e-4, 1e-4, 2e-4))
+    rig = jc.Mechanism(
+        {"crank": bar, "coupler": bar, "rocker": bar},
+        {
+            "O": jc.Connection(hinge, "ground", "crank", axis=normal),
+            "A": jc.Connection(hinge, "crank", "coupler", at=(short, 0.0, 0.0), axis=normal),
+            "B": jc.Connection(
+                hinge,
+                jc.Marker("coupler", place(top - (short, 0.0)), normal),
+                jc.Marker("rocker", place(top - foot), normal),
+            ),
+            "D": jc.Connection(hinge, "ground", "rocker", at=place(foot), axis=normal),
+        },
+        guess={"O": crank},
+    )
+    tip = short * np.array([np.cos(crank), np.sin(crank)])
+    apart = foot - tip
+    size = np.hypot(*apart)
+    angle = np.arctan2(apart[1], apart[0])
+    inner = np.arccos((rod**2 + size**2 - long**2) / (2 * rod * size))
+    drawn = np.arctan2(top[1], top[0] - short)
+    there = tip + rod * np.array([np.cos(angle + inner), np.sin(angle + inner)]) - foot
+    rocker = np.arctan2(there[1], there[0]) - np.arctan2(*(top - foot)[::-1])
+    wanted = crank, angle + inner - drawn - crank, rocker
+    np.testing.assert_allclose(jc.assemble(rig).coordinates, wanted, atol=1e-8)

@@ -294,6 +294,10 @@ PARTS = {
         lambda: jc.load.Force(marker(), 5.0),
         "load.Force has value = 5.0; it must be 2 or 3",
     ),
+    "force by one number of JAX": (
+        lambda: jc.load.Force(marker(), jnp.asarray(5.0)),
+        "load.Force has value = 5.0; it must be 2 or 3",
+    ),
     "force of four": (
         lambda: jc.load.Force(marker(), (1, 0, 0, 0)),
         "load.Force has value = .*; it must be 2 or 3",

@@ -18,7 +18,7 @@ from jax.experimental.compilation_cache import compilation_cache
 
 import jaxclear as jc
 from jaxclear.ground import cache_folder
-from jaxclear.ground.latest import Latest
+from jaxclear.ground.recent_results import Latest
 from jaxclear.native import compiled, forms, source_check
 from jaxclear.native.compiled import compiled_quickly
 from jaxclear.native.forms import Untold, in_text, surroundings, tree_in_text

@@ -11,8 +11,8 @@ import pytest
 
 import jaxclear as jc
 from jaxclear.studies.identification import models
-from jaxclear.studies.identification.by_signal import by_signal
 from jaxclear.studies.identification.several_records import next_record
+from jaxclear.studies.identification.signal_study import fit_signals
 from tests.rigs.measured_damper import RECORDS, damper, energy, marched, mechanism, records
 
 MEASURED = records()
@@ -27,13 +27,13 @@ def compared(record, stiffening=False):
 
 @pytest.fixture(scope="module")
 def one_record():
-    return by_signal({"linear": [compared(FITTED)]})
+    return fit_signals({"linear": [compared(FITTED)]})
 
 
 @pytest.fixture(scope="module")
 def two_models():
     both = {name: [compared(FITTED, name == "rising")] for name in ("linear", "rising")}
-    return by_signal(both)
+    return fit_signals(both)
 
 
 def test_one_record_predicts_the_energies_of_four_others(one_record):
@@ -82,7 +82,7 @@ def test_lost_motion_at_load_is_told_by_both(two_models):
 @pytest.mark.slow
 def test_the_next_record_lies_where_four_others_say():
     """Friction drifts by 4 % between records: only their differences make an interval of it."""
-    found = by_signal({"linear": [compared(own) for own in MEASURED.values()]})
+    found = fit_signals({"linear": [compared(own) for own in MEASURED.values()]})
     fits = found.fits["linear"]
     for name in ("plateau", "lost motion", "stiffness"):
         told = [{**own.unknowns, **own.answers}[name] for own in fits]

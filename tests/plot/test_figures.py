@@ -3,6 +3,8 @@ that it is given."""
 
 import inspect
 
+import equinox as eqx
+import jax
 import matplotlib.figure
 import numpy as np
 import pytest
@@ -166,6 +168,14 @@ def test_wrong_names_end_in_sentences(run):
     ):
         with pytest.raises(ValueError, match=sentence):
             call()
+
+
+@pytest.mark.parametrize("name", ["path", "overview", "animate"])
+def test_a_batch_is_no_run_to_draw(run, name):
+    both = jax.tree.map(lambda x: np.stack([x, x]) if eqx.is_array(x) else x, run)
+    rest = ("rod",) if name == "path" else ()
+    with pytest.raises(ValueError, match=r"batch of 2 runs: take one of them, run\[i\]"):
+        getattr(plot, name)(both, *rest)
 
 
 def test_paths_are_drawn_over_the_mechanism_with_equal_axes(run):

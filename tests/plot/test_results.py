@@ -35,7 +35,7 @@ def problem(function=stack):
 def sized():
     """A design whose limit is known: the two tolerances add up to 50 um."""
     costs = {"a": jc.cost.Reciprocal(1e-4), "b": jc.cost.Reciprocal(2e-4)}
-    limit = jc.limit.WorstCase("sum", at_max_cycles=3.05e-3)
+    limit = jc.limit.WorstCase("sum", at_most=3.05e-3)
     return jc.design(problem(), costs, limit, tolerance={"a": (1e-6, 1e-4), "b": (1e-6, 1e-4)})
 
 

@@ -215,7 +215,7 @@ def standing():
         body=lambda _: SimpleNamespace(com=1e3 * np.hstack([np.cos(at), np.sin(at), 0 * at])),
         seats={JOINT: None, PIN: None},
         offset=lambda _: seat,
-        found=at[:, 0] > 0,
+        is_solved=at[:, 0] > 0,
     )
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
-from jaxclear.ground.latest import Latest
+from jaxclear.ground.recent_results import Latest
 from jaxclear.multibody import assembly
 
 INTEGRATOR = jc.integrator.FixedStep(2e-5)

@@ -51,7 +51,7 @@ def test_all_dead_centres_are_found_whatever_the_saving_times(save):
     np.testing.assert_allclose([one.time for one in found], DEAD, atol=1e-4)
     assert {(one.joint, one.free, one.drives) for one in found} == {("B", "O", ("G",))}
     # Of two within a saving interval nothing tells which way the first went.
-    assert {one.turned for one in found} == ({None} if save == 3 else {False})
+    assert {one.is_reversed for one in found} == ({None} if save == 3 else {False})
 
 
 @pytest.mark.parametrize(
@@ -69,7 +69,7 @@ def test_they_are_found_and_passed_on_every_integrator(integrator):
     """Beside the closed form of a crank that goes through."""
     run = quickly(full_stroke(), 101, integrator)
     assert [round(one.time, 3) for one in run.singular_positions] == DEAD
-    assert all(one.passed for one in run.singular_positions)
+    assert all(one.is_passed for one in run.singular_positions)
     angle = np.asarray(run.coordinate("O"))
     np.testing.assert_allclose(angle, cranks_through(np.asarray(run.time)), atol=2e-3)
 
@@ -91,7 +91,7 @@ def test_a_crank_that_is_turned_round_is_a_warning(passing):
         passing, history=dataclasses.replace(history, states=states), singular_positions=()
     )
     first = singular_positions(turned)[0]
-    assert first.turned and first.speeds[0] == pytest.approx(-first.speeds[1], rel=0.01)
+    assert first.is_reversed and first.speeds[0] == pytest.approx(-first.speeds[1], rel=0.01)
     told = dataclasses.replace(turned, singular_positions=(first,))
     (warning,) = told.warnings
     assert warning.startswith('At 0.125 s the loop through joint "B" is at a singular position')
@@ -116,7 +116,7 @@ def test_a_parallelogram_passes_its_change_points(save):
     flat = (np.pi * np.arange(1, 4) - 0.5) / 10.0
     found = run.singular_positions
     np.testing.assert_allclose([one.time for one in found], flat, atol=1e-6)
-    assert all(one.passed and one.drives == ("O",) for one in found)
+    assert all(one.is_passed and one.drives == ("O",) for one in found)
     # It stays a parallelogram.
     rocker = np.asarray(run.coordinate("D"))
     np.testing.assert_allclose(rocker, 0.5 + 10.0 * np.asarray(run.time), atol=1e-9)

@@ -31,7 +31,7 @@ def problem(integrator):
     ("integrator", "sentence"),
     [
         (STEP.FixedStep(1e-30), r"FixedStep(step=1e-30) takes 1e+30 steps to 1 s"),
-        (STEP.FixedStep(1e-13, "munthe_kaas2"), "at least 1e-12 s"),
+        (STEP.FixedStep(1e-13, "munthe_kaas4"), "at least 1e-12 s"),
         (STEP.ImplicitStep(1e-20), r"ImplicitStep(step=1e-20) takes 1e+20 steps"),
         (STEP.MoreauJean(1e-20), r"MoreauJean(step=1e-20) takes 1e+20 steps"),
         (STEP.NonColliding(1e-20), r"NonColliding(step=1e-20) takes 1e+20 steps"),

@@ -60,7 +60,7 @@ def test_a_held_horn_leaves_its_lever_the_angle_of_its_play():
     stands = jc.positions(servo(stiffness=None), {"M0": [0.0, 0.7]}, reverse_loads=True)
     turned = np.asarray(stands.coordinate("L") - stands.reversed.coordinate("L"))
     np.testing.assert_allclose(turned, 2 * ANGLE, rtol=1e-9)
-    assert np.all(stands.found) and not stands.warnings
+    assert np.all(stands.is_solved) and not stands.warnings
     # The pin pushes along its offset.
     push, lies = np.asarray(stands.reaction("B0"))[:, :2], np.asarray(stands.offset("B0"))[:, :2]
     np.testing.assert_allclose(np.linalg.norm(lies, axis=1), PLAY, rtol=1e-9)
@@ -522,7 +522,7 @@ def test_a_shaft_leans_in_a_long_bearing_and_stands_on_its_collar():
         {"gravity": jc.load.Gravity((0.0, 0.0, -9.81))},
     )
     stands = jc.positions(rig, {})
-    assert np.all(stands.found)
+    assert np.all(stands.is_solved)
     seat = np.asarray(stands.seats["J"])[0]
     force, torque = np.split(np.asarray(stands.reaction("J"))[0], 2)
     assert force[2] == pytest.approx(0.5 * 9.81, rel=1e-9)

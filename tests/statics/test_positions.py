@@ -201,7 +201,7 @@ def test_the_way_of_assembly_is_told_and_a_fall_to_the_other_is_found_out():
         mirrored[i] = np.where(np.isclose(here.q[i], coupler), turned, mirrored[i])
     fallen = eqx.tree_at(lambda spot: spot.q, here, jnp.asarray(mirrored))
     there = positions_at(scene, places, fallen, way)
-    assert not np.any(there.found) and np.all(positions_at(scene, places, here, way).found)
+    assert not np.any(there.is_solved) and np.all(positions_at(scene, places, here, way).is_solved)
     gone = jax.vmap(lambda own, start: settle(scene.at(own), start, way))(places, fallen)
     np.testing.assert_array_equal(gone.branch, -here.branch)
     assert np.all(gone.change < 1e-9)

@@ -16,7 +16,7 @@ import jaxclear as jc
 
 CLEARANCE, GRAVITY, OMEGA, TIME = 1e-3, 9.81, 3e3, 0.02
 INTEGRATORS = {
-    "explicit": jc.integrator.FixedStep(2e-5, "munthe_kaas2"),
+    "explicit": jc.integrator.FixedStep(2e-5, "munthe_kaas4"),
     "explicit, reverse mode": jc.integrator.FixedStep(steps_per_save=50),
     "contact steps": jc.integrator.FixedStep(1e-4, "heun", contact_steps=10),
     "implicit, reverse mode": jc.integrator.ImplicitStep(steps_per_save=50),

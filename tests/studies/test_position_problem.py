@@ -45,7 +45,7 @@ def test_one_of_a_batch_is_read_as_any_other(asked):
         np.testing.assert_allclose(read(batch[0]), read(alone), atol=1e-12)
         with pytest.raises(ValueError, match="a batch of 2 runs"):
             read(batch)
-    assert str(batch) == "A batch of 2 at positions each; found[i] is one."
+    assert str(batch) == "A batch of 2 at positions each; positions[i] is one."
 
 
 @pytest.mark.slow  # compiles three programs

@@ -23,9 +23,9 @@ from typing import Any, ClassVar, NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 
-from jaxclear.components.acting import AbstractJointLoad
 from jaxclear.components.joint import AbstractJoint
 from jaxclear.components.joint.base import AbstractLikeIdeal, AbstractRubbingJoint, CarryingEnd
+from jaxclear.components.load_base import AbstractJointLoad
 from jaxclear.components.wear_map import AbstractWearMap, Wearing
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.argument_errors import Renamed

@@ -4,10 +4,10 @@ from collections.abc import Callable
 
 import jax.numpy as jnp
 
-from jaxclear.components.acting import CoordinateEffect
 from jaxclear.components.coupling.base import named_end
 from jaxclear.components.coupling.force import AbstractForceCoupling, check_needed
 from jaxclear.components.function_of_angle import check_function_of_angle, value_and_slope
+from jaxclear.components.load_base import CoordinateEffect
 from jaxclear.ground.numerics import smooth_sign
 from jaxclear.ground.quantity import Scalar, quantity
 from jaxclear.laws.transmission import one_sided

@@ -3,8 +3,8 @@
 from abc import abstractmethod
 from typing import Any, ClassVar
 
-from jaxclear.components.acting import AbstractStateLoad, CoordinateEffect
 from jaxclear.components.coupling.base import AbstractCoupling
+from jaxclear.components.load_base import AbstractStateLoad, CoordinateEffect
 
 
 class AbstractForceCoupling(AbstractCoupling, AbstractStateLoad):

@@ -1,8 +1,8 @@
 """A freewheel (sprag clutch, ratchet, backstop): it turns with its shaft one way only."""
 
-from jaxclear.components.acting import CoordinateEffect, LoadState
 from jaxclear.components.coupling.base import named_end
 from jaxclear.components.coupling.force import AbstractForceCoupling, check_needed
+from jaxclear.components.load_base import CoordinateEffect, LoadState
 from jaxclear.ground.quantity import Scalar, quantity
 from jaxclear.laws.transmission import freewheel
 

@@ -6,9 +6,9 @@ from typing import Any
 import equinox as eqx
 import jax.numpy as jnp
 
-from jaxclear.components.acting import CoordinateEffect, LoadState
 from jaxclear.components.coupling.base import as_name
 from jaxclear.components.coupling.force import AbstractForceCoupling, check_needed
+from jaxclear.components.load_base import CoordinateEffect, LoadState
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import positive_part
 from jaxclear.ground.quantity import Scalar, as_vector, quantity, vector

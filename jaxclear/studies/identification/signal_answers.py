@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from jaxclear.studies.identification.by_signal import BySignal, by_signal
 from jaxclear.studies.identification.measurement import Measurement
 from jaxclear.studies.identification.models import compared
 from jaxclear.studies.identification.result import (
@@ -31,6 +30,7 @@ from jaxclear.studies.identification.several_records import (
     next_record,
 )
 from jaxclear.studies.identification.signal_fit import CredibleInterval, SignalFit
+from jaxclear.studies.identification.signal_study import SignalFits, fit_signals
 from jaxclear.studies.problem import Problem
 from jaxclear.studies.run_experiment import RunExperiment
 
@@ -60,17 +60,17 @@ def identify_by_signals(
         for problem in problems
     )
     windows = WINDOWS if in_time else 1
-    study = by_signal(pairs, starts=STARTS, windows=windows, draws=draws, seed=seed)
+    study = fit_signals(pairs, starts=STARTS, windows=windows, draws=draws, seed=seed)
     return of_signals(models, study, seed)
 
 
-def of_signals(problems: Mapping[str, Sequence[Problem]], study: BySignal, seed: int) -> Identified:
+def of_signals(models: Mapping[str, Sequence[Problem]], study: SignalFits, seed: int) -> Identified:
     """The answer of models and records."""
     records = len(next(iter(study.fits.values())))
     runs = sum(fit.runs for fits in study.fits.values() for fit in fits)
     how = "by the signals themselves" + (f" of {records} records" if records >= FEWEST else "")
-    first = study.choice.models[0] if study.choice.models else next(iter(problems))
-    problem: Any = problems[first][0]
+    first = study.choice.models[0] if study.choice.models else next(iter(models))
+    problem: Any = models[first][0]
     if study.refusal:
         prior = [unknown_of(problem, name, NOTHING) for name in problem.names]
         shares = np.random.default_rng(seed).random((DRAWS, len(problem.names)))
@@ -85,7 +85,7 @@ def of_signals(problems: Mapping[str, Sequence[Problem]], study: BySignal, seed:
     ]
     drawn = _values(problem, study, np.random.default_rng(seed))
     remarks = [*_misfits(study, first), *ends_in_words(problem, unknowns), *_models(study)]
-    remarks += _rest(study, first, problems)
+    remarks += _rest(study, first, models)
     remarks += _together(unknowns, study.fits[first][0]) if records < FEWEST else _drift(study)
     units = problem.units()
     answers = tuple(_row(name, units[name], interval) for name, interval in study.answers.items())
@@ -110,7 +110,7 @@ def _row(name: str, unit: str, interval: CredibleInterval) -> Unknown:
     return Unknown(name, unit, value, low, high, *prior, float(interval.width), verdict, "")
 
 
-def _values(problem: Problem, study: BySignal, rng: np.random.Generator) -> np.ndarray:
+def _values(problem: Problem, study: SignalFits, rng: np.random.Generator) -> np.ndarray:
     """Draws (draws, unknowns) of a record yet to come, from all kept models alike."""
     names, models = problem.names, study.choice.models
     of_model = {}
@@ -150,7 +150,7 @@ def _correlation(fits: Sequence[SignalFit]) -> np.ndarray:
     return np.mean([np.atleast_2d(np.corrcoef(fit.values.T)) for fit in fits], axis=0)
 
 
-def _misfits(study: BySignal, first: str) -> list[str]:
+def _misfits(study: SignalFits, first: str) -> list[str]:
     """What the nearest model leaves of the records."""
     sentences = []
     for name in study.fits[first][0].misfits:
@@ -165,7 +165,7 @@ def _misfits(study: BySignal, first: str) -> list[str]:
     return sentences
 
 
-def _models(study: BySignal) -> list[str]:
+def _models(study: SignalFits) -> list[str]:
     """Which models remain, and what speaks against others."""
     text = []
     if len(study.choice.models) > 1:
@@ -174,7 +174,7 @@ def _models(study: BySignal) -> list[str]:
     return text + [f'"{name}" is left out: {why}' for name, why in study.choice.against.items()]
 
 
-def _rest(study: BySignal, first: str, problems: Any) -> list[str]:
+def _rest(study: SignalFits, first: str, problems: Any) -> list[str]:
     """What only other models than the nearest have."""
     sentences = []
     for model, intervals in study.by_model.items():
@@ -197,7 +197,7 @@ def _together(unknowns: Sequence[Unknown], fit: SignalFit) -> list[str]:
     ]
 
 
-def _drift(study: BySignal) -> list[str]:
+def _drift(study: SignalFits) -> list[str]:
     """How records differ beside what each tells of itself."""
     spreads = study.between[study.choice.models[0]]
     names = [name for name, spread in spreads.items() if spread.between > spread.within]

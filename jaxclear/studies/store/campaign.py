@@ -28,7 +28,7 @@ from jaxclear.studies.sequential import FIRST_SAMPLES, first_of, until_accurate
 from jaxclear.studies.statistics.accuracy import Piece, parse_accuracy
 from jaxclear.studies.store.batch import RESPONSES, VALUES
 from jaxclear.studies.store.digest import in_texts
-from jaxclear.studies.store.recorded import in_json, of_json
+from jaxclear.studies.store.recorded_problem import in_json, of_json
 from jaxclear.studies.store.result import Campaign
 from jaxclear.studies.store.samples import KIND, Plan, Samples, batch_of, planned
 from jaxclear.studies.store.store import check_folder

@@ -99,6 +99,12 @@ class AbstractTolerance(AbstractQuantified):
         return ""
 
 
+def _without_rounding(length: float) -> float:
+    """A length [m] without the rounding of its arithmetic (ISO 286 has tenths of a micrometre, and
+    halves of these), zero without a sign."""
+    return round(length, 8) + 0.0
+
+
 class Fit(AbstractTolerance):
     """A hole and a shaft by their classes (`jaxclear.fit`).
 
@@ -134,9 +140,8 @@ class Fit(AbstractTolerance):
         return match.groups()
 
     def _summary(self):
-        # No minus before a zero.
-        in_um = [[round(end / MICRO, 3) + 0.0 for end in self.limits(side)] for side in (0, 1)]
-        ends = [f"{low:+.4g} to {high:+.4g}" for low, high in in_um]
+        limits = self.hole_limits, self.shaft_limits
+        ends = [f"{low / MICRO:+.4g} to {high / MICRO:+.4g}" for low, high in limits]
         least, largest = (end / MICRO for end in self.clearance)
         return (
             f"Fit {self.fit}: hole {ends[0]} um, shaft {ends[1]} um; clearance of the diameters "
@@ -180,7 +185,7 @@ class Fit(AbstractTolerance):
             The two.
         """
         low, high = iso286.limits(float(self._read()[0]), self.classes[side])
-        return MICRO * low, MICRO * high
+        return _without_rounding(MICRO * low), _without_rounding(MICRO * high)
 
     @property
     def hole_limits(self) -> tuple[float, float]:
@@ -196,7 +201,7 @@ class Fit(AbstractTolerance):
     def clearance(self) -> tuple[float, float]:
         """Least and largest difference of the diameters [m]; below 0 it is an interference."""
         hole, shaft = self.hole_limits, self.shaft_limits
-        return hole[0] - shaft[1], hole[1] - shaft[0]
+        return _without_rounding(hole[0] - shaft[1]), _without_rounding(hole[1] - shaft[0])
 
     def check_clearance(self, joint: str) -> None:
         """Raises `ValueError` where parts may interfere.

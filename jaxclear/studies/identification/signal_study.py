@@ -18,7 +18,7 @@ from jaxclear.studies.identification.signal_fit import CredibleInterval, SignalF
 from jaxclear.studies.problem import Problem
 
 
-class BySignal(NamedTuple):
+class SignalFits(NamedTuple):
     """What records tell. `fits`: of each model each record; `choice`: the models that remain, and
     sentences against the others; `unknowns` and `answers`: intervals that hold those of all
     remaining models, for what all have (of several records, of the next one); `by_model`: what only
@@ -41,14 +41,14 @@ class BySignal(NamedTuple):
         return " ".join(f"{name}: {why}" for name, why in self.choice.against.items())
 
 
-def by_signal(
+def fit_signals(
     models: Mapping[str, Sequence[tuple[Forward, Record]]],
     *,
     starts: int = 8,
     windows: int = 1,
     draws: int = 512,
     seed: int = 0,
-) -> BySignal:
+) -> SignalFits:
     """What records of a machine tell of the unknowns of its `models`, {name: one for each record,
     beside it}; the rest as in `fit_signal`."""
     how = {"starts": starts, "windows": windows, "draws": draws, "seed": seed}
@@ -69,7 +69,7 @@ def by_signal(
         if len(chosen) >= FEWEST:
             between[name] = {key: next_record([each[key] for each in rows]) for key in rows[0]}
     shared, rest = _shared(unknowns)
-    return BySignal(fits, retained, shared, _shared(answers)[0], rest, between)
+    return SignalFits(fits, retained, shared, _shared(answers)[0], rest, between)
 
 
 def _within(problem: Problem, name: str, interval: CredibleInterval) -> CredibleInterval:
