@@ -1,7 +1,8 @@
 """How large a number may be, `jaxclear.largest`: the largest mean of one variable at which a limit
 holds with the upper end of the 95 % interval of its number (the lower end, of a limit from below).
 The same random numbers serve all trials, so the number changes smoothly with the variable and is
-bracketed. Intervals of quantiles and shares are those of counts: a jackknife of them is too narrow.
+bracketed. Intervals of quantiles are read off from those of shares: a jackknife of them is too
+narrow.
 """
 
 from pathlib import Path
