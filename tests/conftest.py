@@ -1,8 +1,8 @@
 """What holds for every test: examples that are drawn are the same in every run, unless asked
 otherwise, and compiled programs do not pile up. Most of a test is compiling, so what XLA compiles
-is optimised little (a third of the suite), kernels not at all (a seventh; in tests/native as users'
-are), and Python looks for cycles of garbage rarely (a twentieth). Flags of XLA that a user sets go
-before.
+is optimised little (a third of the suite), kernels not at all (a seventh; as users' are where a
+test says so), and Python looks for cycles of garbage rarely (a twentieth). Flags of XLA that a user
+sets go before.
 """
 
 import gc
@@ -51,6 +51,14 @@ def few_programs():
     if MAPS.exists() and MAPS.read_bytes().count(b"\n") > MOST_MAPS:
         jax.clear_caches()
         gc.collect()
+
+
+@pytest.fixture(scope="module")
+def optimised_kernels():
+    """Kernels are optimised as users' are."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(object_code, "SPEED_LEVEL", 2)
+        yield
 
 
 @pytest.fixture

@@ -17,7 +17,7 @@ from tests.rigs.bouncing_journal import CLEARANCE, GRAVITY, MASS, falling
 from tests.rigs.loaded_bearing import loaded_bearing
 from tests.rigs.wearing_ring import RADIUS, SAVES, TURN, ClosedForm, wearing_ring
 
-pytestmark = pytest.mark.verified
+pytestmark = [pytest.mark.verified, pytest.mark.usefixtures("optimised_kernels")]
 # Told beside true: steps of order 1 are told as they are, of higher order up to twice as large;
 # several impacts may cancel or add.
 LEAST, MOST = 0.5, 10.0

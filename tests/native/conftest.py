@@ -2,15 +2,12 @@
 
 import pytest
 
-from jaxclear.native import loop, object_code
+from jaxclear.native import loop
 
 
 @pytest.fixture(autouse=True, scope="module")
-def as_users():
+def as_users(optimised_kernels):
     """Kernels are optimised as users' are."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(object_code, "SPEED_LEVEL", 2)
-        yield
 
 
 @pytest.fixture

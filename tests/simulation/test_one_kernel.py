@@ -15,6 +15,7 @@ from jaxclear.simulation import loop as simulation
 from jaxclear.simulation import wear
 from jaxclear.simulation.saving import saving_times
 
+pytestmark = pytest.mark.usefixtures("optimised_kernels")
 RUNGS = {
     "fixed": jc.integrator.FixedStep(2e-5),
     "fixed, semi-implicit": jc.integrator.FixedStep(2e-5, "semi_implicit"),
