@@ -141,7 +141,7 @@ class RunExperiment(AbstractExperiment):
         saving = as_saving(save)
         times = saving_times(check_duration(duration), saving.at)
         self.state = state_of(state)
-        self._check_answers(integrator, times, saving.events)
+        self._check_answers(integrator, on_device(times), saving.events)
         arguments = mechanism, self.response, times[-1]
         chosen: Any = (integrator, "", None)
         if accuracy is not None:

@@ -196,7 +196,7 @@ MISTAKES: list[tuple[str, Callable[[], Any]]] = [
     ("push", lambda: short(arm(loads={"push": jc.load.JointTorque("pin", lambda t: 1 / t)}))),
     ("pin", lambda: short(arm(jc.joint.Revolute(drive=jc.drive.Position(jax.numpy.sqrt))))),
     ("half_width", lambda: jc.distribution.Uniform(-1e-3, 1e-3)),
-    ("force", lambda: draft(response={"force": lambda r: float(r.body("rod").com[-1, 0])})),
+    ("force", lambda: draft(response={"force": lambda r: float(r.ended)})),
     ("force", lambda: draft(response={"force": jc.response.MeanContactForce("b")})),
     ("force", lambda: draft(response={"force": lambda r: r.body("rodd").com[-1, 0]})),
     ("force", lambda: draft(response={"force": lambda r: r.contact("B").normal_force})),
