@@ -80,6 +80,7 @@ def tilting():
         spec=Trajectory,
         mechanism=told,
         contact=lambda _: history,
+        history=SimpleNamespace(check_single=lambda: None),
         warnings=(),
         notes=(),
         time=turn[:, 0],
