@@ -11,9 +11,8 @@ from typing import Any
 from jaxclear.ground import cache_folder
 from jaxclear.native import stopping
 
-# How much LLVM optimises the text of a kernel, from 0 (not at all) to 3. A kernel is one function in
-# single-assignment form: what a function gains by itself is all there is. LLVM's pipeline for whole
-# modules takes twice as long and makes the same code; beyond level 1 nothing is gained.
+# How much LLVM optimises each function of a kernel, from 0 (not) to 3. Its pipeline for whole
+# modules takes twice as long and makes the same code, as does level 2.
 SPEED_LEVEL = 1
 
 
@@ -51,11 +50,11 @@ def _object_code(text: str) -> bytes:
 
     module, machine = llvm.parse_assembly(text), _target()
     if SPEED_LEVEL:
-        _optimise(module, machine)
+        optimise(module, machine)
     return machine.emit_object(module)
 
 
-def _optimise(module: Any, machine: Any) -> None:
+def optimise(module: Any, machine: Any) -> None:
     """Inlines the elementary functions, then simplifies each function by itself."""
     import llvmlite.binding as llvm
 
