@@ -20,7 +20,7 @@ from jaxtyping import Array, Float
 from jaxclear.complementarity.problem import AbstractProblem, AbstractSolver, Outcome, Solution
 from jaxclear.complementarity.projected_gauss_seidel import Iterate
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.numerics import safe_divide, safe_sqrt
+from jaxclear.ground.numerics import safe_divide
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.quantity import Scalar, quantity
 
@@ -127,16 +127,13 @@ class JointFriction(AbstractProblem):
         shares = [safe_divide(friction[i], load) for i in range(place.start, place.stop)]
         return shares[0] if len(shares) == 1 else tuple(shares)
 
-    def improved(
-        self, k: int, friction: Float[Array, " k"], load: Any, relaxation: Any
-    ) -> tuple[list, Any, Any]:
+    def improved(self, k: int, friction: Float[Array, " k"], load: Any) -> tuple[list, Any, Any]:
         """Friction of one joint that satisfies its law while that of the others stays.
 
         Args:
             k: index of the joint.
             friction: friction of all joints [N], an array.
             load: load of the joint [N].
-            relaxation: share of the bound over which friction is rounded [1]; None: exact.
 
         Returns:
             components of T_k [N], the bound of their size [N], and whether they are within it.
@@ -153,7 +150,7 @@ class JointFriction(AbstractProblem):
         low, high = (share * load for share in rule)
         stiff = jnp.maximum(self.delassus[i][i], self.softest[i])
         target = friction[i] - self.slip(i, friction) / stiff
-        friction_there = _within(target, low, high, relaxation)
+        friction_there = jnp.clip(target, -low, high)
         return [friction_there], jnp.maximum(low, high), friction_there == target
 
     def _on_ball(self, k: int, friction: Float[Array, " k"], rule: Any) -> tuple[list, Any, Any]:
@@ -204,7 +201,7 @@ class JointFriction(AbstractProblem):
         residuals = [jnp.zeros(())]
         for k, pair in enumerate(self.ratios):
             if pair is not None:
-                improved, *_ = self.improved(k, z, total[k], None)
+                improved, *_ = self.improved(k, z, total[k])
                 residuals += [z[self.place(k).start + i] - x for i, x in enumerate(improved)]
         return jnp.max(jnp.abs(jnp.stack(residuals)))
 
@@ -221,14 +218,10 @@ class BoxedGaussSeidel(AbstractSolver):
     Args:
         tolerance: change of friction relative to its bound at which to stop [1], > 0.
         max_sweeps: largest number of sweeps over the joints [1], > 0.
-        relaxation: share of the bound over which the corners of the bounds are rounded [1], > 0
-            (Chen & Harker 1993, SIAM J. Matrix Anal. Appl. 14, 1168, doi:10.1137/0614081); None:
-            exact.
     """
 
     tolerance: Scalar = quantity(1e-13, "1", above=0)
     max_sweeps: Scalar = quantity(1000.0, "1", above=0)
-    relaxation: Scalar | None = quantity(None, "1", above=0)
 
     def solve(self, problem: JointFriction) -> Solution:
         check_double_precision()
@@ -279,7 +272,7 @@ class BoxedGaussSeidel(AbstractSolver):
                 continue
             load = problem.load(k, friction, problem.shares(k, friction, total[k]))
             total = total.at[k].set(load)
-            improved, bound, within = problem.improved(k, friction, load, self.relaxation)
+            improved, bound, within = problem.improved(k, friction, load)
             for i, x in enumerate(improved, problem.place(k).start):
                 all_within &= within | (friction[i] == x)
                 friction = friction.at[i].set(x)
@@ -292,15 +285,6 @@ def _moved(problem: JointFriction, change: Array) -> Any:
     stiff = [jnp.maximum(row[i], problem.softest[i]) for i, row in enumerate(problem.delassus)]
     moved = [sp.dot(row, change) / x for row, x in zip(problem.delassus, stiff, strict=True)]
     return jnp.max(jnp.abs(jnp.stack(moved)))
-
-
-def _within(x, low, high, relaxation):
-    """x moved into [-low, high]; with `relaxation`, rounded over that share of the bounds."""
-    if relaxation is None:
-        return jnp.clip(x, -low, high)
-    width = relaxation * 0.5 * (low + high)
-    root = lambda y: safe_sqrt(y * y + width * width)
-    return 0.5 * (root(x + low) - root(x - high) + high - low)
 
 
 def across(direction: tuple) -> tuple[tuple, tuple]:
