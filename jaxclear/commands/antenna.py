@@ -164,8 +164,13 @@ def motion_figure(runs: Mapping[str, Trajectory]) -> Figure:
 def stick_slip_figure(
     runs: Mapping[str, Trajectory], joint: str, radius: float, close: tuple[float, float]
 ) -> Figure:
-    """Slip speed, acceleration and friction of a joint by friction law; right, the same over the
-    interval `close` [s].
+    """Slip speed, acceleration and friction of a joint, by friction law.
+
+    Args:
+        runs: by friction law; the first marks where the joint sticks.
+        joint: name.
+        radius: of its bearing [m].
+        close: interval of the close-up on the right [s].
     """
     figure = Figure(figsize=(11.0, 8.5), layout="constrained")
     axes = figure.subplots(3, 2, sharex="col")
@@ -262,8 +267,14 @@ def tip_paths(run: Trajectory, error: PointingError) -> tuple[np.ndarray, np.nda
 def tip_path_figure(
     run: Trajectory, error: PointingError, nominal: Trajectory, scale: float
 ) -> Figure:
-    """Path of the tip in space, seen from the satellite: of the ideal mechanism, of this run with
-    ideal joints, and as its journals lean, drawn `scale` times as far from it."""
+    """Path of the tip in space, seen from the satellite.
+
+    Args:
+        run: with clearance.
+        error: of its tip.
+        nominal: run of the ideal mechanism.
+        scale: by which the departure of the run from ideal joints is drawn larger [1].
+    """
     figure = Figure(figsize=(9.0, 7.5), layout="constrained")
     axis = figure.add_subplot(projection="3d")
     base = nominal.body(BASE)

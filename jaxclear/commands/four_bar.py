@@ -57,7 +57,13 @@ def paper_runs(duration: float, saves: int) -> dict[float, Any]:
 
 
 def problem(duration: float, saves: int, clearance: float = LARGEST) -> jc.Problem:
-    """Peak worn depth and follower error over clearance and link lengths."""
+    """Peak worn depth and follower error over clearance and link lengths.
+
+    Args:
+        duration: of a run [s].
+        saves: number of saving times.
+        clearance: nominal radial clearance [m].
+    """
     ideal = jc.simulate(four_bar("ideal"), duration, save=saves)
     report_warnings({"the ideal mechanism": ideal})
     reference = ideal.body("follower").com
@@ -115,8 +121,14 @@ def _load_and_wear(run: Any) -> dict[str, float]:
 def study(
     folder: Path, samples: int = 256, duration: float = 5.0, turns: float = 2.0, show: bool = True
 ) -> None:
-    """Runs everything and writes it to `folder`: runs of `duration` [s], a Monte Carlo over `turns`
-    of the crank; `show`: progress bars.
+    """Runs the study of the four-bar and writes its tables and figures.
+
+    Args:
+        folder: for the files.
+        samples: of the Monte Carlo.
+        duration: of the paper's runs [s].
+        turns: of the crank in each sample.
+        show: whether progress bars are shown.
     """
     files = StudyFolder(folder)
     runs = paper_runs(duration, round(duration * SAVES_PER_SECOND) + 1)

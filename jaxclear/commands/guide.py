@@ -56,9 +56,13 @@ def _worn(touching: Any) -> dict[str, Figure]:
 def study(
     folder: Path, clearance: float = SMALL_CLEARANCE, wear: bool = False, show: bool = True
 ) -> None:
-    """Runs one turn of the crank on both formulations and writes figures and tables to `folder`;
-    `clearance` [m] of the compliant run, `wear`: both parts of the other wear, `show`: progress
-    bars.
+    """Runs one turn of the crank with permanent and compliant contact; writes tables and figures.
+
+    Args:
+        folder: for the files.
+        clearance: of the compliant run [m].
+        wear: whether both parts wear in the run with permanent contact.
+        show: whether progress bars are shown.
     """
     files = StudyFolder(folder)
     touching = jc.simulate(
@@ -173,7 +177,13 @@ def _strip(axis: Any, edges: np.ndarray, codes: np.ndarray) -> None:
 
 
 def switching_window(run: Any, compliant: Any, instants: np.ndarray) -> Figure:
-    """Corner forces around two switchings, in permanent contact and with a small clearance."""
+    """Corner forces around two switchings, in permanent contact and with a small clearance.
+
+    Args:
+        run: with permanent contact.
+        compliant: with a small clearance.
+        instants: of the switchings [s]; the first and last are shown.
+    """
     figure = Figure(figsize=(9.5, 5.5), layout="constrained")
     axes = figure.subplots(2, 2, sharex="col")
     gap = 1e6 * float(compliant.mechanism.connections["P"].joint.clearance)
@@ -195,8 +205,12 @@ def switching_window(run: Any, compliant: Any, instants: np.ndarray) -> Figure:
 
 
 def reactions(run: Any, compliant: Any, instants: np.ndarray) -> Figure:
-    """Size of the reactions of the crank's two joints, beside the compliant run, and the
-    difference.
+    """Reactions of the crank's two joints, beside the compliant run, and the difference.
+
+    Args:
+        run: with permanent contact.
+        compliant: with a small clearance.
+        instants: of switchings [s], which are marked.
     """
     figure = Figure(figsize=(8.5, 7.5), layout="constrained")
     axes = figure.subplots(3, 1, sharex=True)

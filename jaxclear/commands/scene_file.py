@@ -32,7 +32,14 @@ MOST_LINES = 8
 
 
 def keep(scene: jc.Scene, run: jc.Trajectory, folder: Path, name: str) -> pandas.DataFrame:
-    """Writes a run to a folder; its table of joints."""
+    """Writes a run to a folder; returns its table of joints.
+
+    Args:
+        scene: that was run.
+        run: its trajectory.
+        folder: created if it does not exist.
+        name: of the scene, for the title.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     table = joint_table(run)
     if len(table):
@@ -47,7 +54,14 @@ def keep(scene: jc.Scene, run: jc.Trajectory, folder: Path, name: str) -> pandas
 
 
 def keep_positions(scene: jc.Scene, positions: Any, folder: Path, name: str) -> pandas.DataFrame:
-    """Writes where a mechanism stands to a folder; a table of it, a row for each position."""
+    """Writes positions to a folder; returns a table with a row for each.
+
+    Args:
+        scene: with the positions of its drives.
+        positions: where the mechanism stands.
+        folder: created if it does not exist.
+        name: of the scene, for the title.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     data = positions.to_dataset()
     columns = {}
@@ -182,9 +196,16 @@ def run(
     saves: int | None = None,
     show: bool = True,
 ) -> None:
-    """Runs a scene once, prints how it went, and writes data set, figures and tables to `folder`
-    (by default named after the file); of a scene over positions where it stands. `duration` [s] and
-    `saves` instead of the file's own.
+    """Runs a scene once, prints how it went, and writes data set, figures and tables.
+
+    A scene over positions is written where it stands.
+
+    Args:
+        scene: path of the file.
+        folder: for the files; None: named after the scene.
+        duration: [s]; None: the file's.
+        saves: number of saving times; None: the file's.
+        show: whether a progress bar is shown.
     """
     folder = Path(f"{scene.stem}_run") if folder is None else folder
     with mistakes_told():
@@ -217,8 +238,19 @@ def fmu(
     interval: float = 1e-3,
     target: str | None = None,
 ) -> None:
-    """Exports a scene as an FMU, `folder` its file (by default named after the scene); what it
-    gives are the scene's responses, or else coordinates and speeds of its joints."""
+    """Exports a scene as an FMU, whose outputs are the scene's responses.
+
+    Without responses, outputs are coordinates and speeds of its joints.
+
+    Args:
+        scene: path of the file.
+        folder: the FMU's file; None: named after the scene.
+        input, parameter: texts NAME=NUMBER: names of the FMU's inputs and parameters, and paths.
+        slope: names of inputs and parameters along which derivatives are carried.
+        model_exchange: whether it is for model exchange, too.
+        interval: communication step [s].
+        target: platform; None: this one.
+    """
     file = Path(f"{scene.stem}.fmu") if folder is None else folder
     with mistakes_told():
         content = read(scene)
@@ -298,10 +330,19 @@ def identify(
     folder: Path | None = None,
     show: bool = True,
 ) -> None:
-    """What records tell of what varies of a scene: prints each number's interval and whether it is
-    identified; table, data set and figure go to `folder` (by default named after the scene).
-    `signal`: columns with their sensors; `time`: a column in seconds, or column:unit:begin:end;
-    `turn`: the column of an encoder, or the period [s]."""
+    """Identifies what varies of a scene from records; prints intervals and writes files.
+
+    Args:
+        scene: path of the file.
+        record: paths of tables with measured columns.
+        signal: columns with their sensors.
+        time: column in seconds, or column:unit:begin:end.
+        turn: column of an encoder, or period [s]; None: no turns.
+        runs: number of runs.
+        how: method of `identify`.
+        folder: for the files; None: named after the scene.
+        show: whether progress bars are shown.
+    """
     folder = Path(f"{scene.stem}_identified") if folder is None else folder
     with mistakes_told():
         content = read(scene)
@@ -345,9 +386,16 @@ def monte_carlo(
     chunk: int | None = None,
     show: bool = True,
 ) -> None:
-    """A campaign over what varies of a scene, kept in `folder` (by default named after the file)
-    chunk by chunk; goes on where an earlier one was interrupted. Prints statistics with errors,
-    failures and warnings."""
+    """A campaign over what varies of a scene; it continues where an earlier one stopped.
+
+    Args:
+        scene: path of the file.
+        samples: number of samples.
+        folder: for the samples; None: named after the scene.
+        seed: of the samples.
+        chunk: samples computed at once; None: chosen.
+        show: whether a progress bar is shown.
+    """
     folder = Path(f"{scene.stem}_store") if folder is None else folder
     try:
         with mistakes_told():

@@ -94,7 +94,12 @@ class CylinderMap(AbstractRound):
         return 1.0 / jnp.sqrt(self.square_width(indentation))
 
     def position(self, x: Array, y: Array, z: Array) -> tuple[Array, Array]:
-        """Where a place of the wall [m] lies, in units of cells: around, along."""
+        """Cell coordinates (around, along) of a point of the wall, in units of cells.
+
+        Args:
+            x, y: position across the axis [m]; only its direction counts.
+            z: position along the axis from the middle [m].
+        """
         return self.column(x, y), self.row(z)
 
     def contact(self, volume, features):
@@ -207,8 +212,12 @@ class CylinderMap(AbstractRound):
         return [(0, inside), (last, last - inside)] if last else [(0, 0)]
 
     def depth_at_end(self, reading: tuple, x: Scalar, y: Scalar, end: int) -> Scalar:
-        """Worn depth at the direction (x, y) of the row at the lower (-1) or upper (1) end, in
-        metres.
+        """Worn depth [m] at one end of the wall.
+
+        Args:
+            reading: rows of depths [m] at the ends (`reading` of this map).
+            x, y: unit vector of the direction.
+            end: -1 for the lower and 1 for the upper end.
         """
         around, row = self.cells[0], reading[0 if end < 0 else -1]
         position = direction_angle(x, y) * (around / (2 * math.pi) / self.coarseness) - 0.5

@@ -57,8 +57,12 @@ class AbstractFunctionOfTime(AbstractQuantified):
 
 
 def check_function_of_time(part: Any, field: str, counts: tuple[int, ...] = (1,)) -> None:
-    """Raises `ValueError` for a function in a field of a part that fails at a time, or returns
-    other than as many numbers as one of `counts`; what is no function passes.
+    """Raises `ValueError` for a function of time that fails or returns a wrong number of numbers.
+
+    Args:
+        part: load or drive that has the function.
+        field: name of its field; a value that is no function passes.
+        counts: allowed numbers of results.
     """
     function = getattr(part, field)
     if not callable(function):

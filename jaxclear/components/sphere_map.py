@@ -137,9 +137,15 @@ def spline_weights(position: Float[Array, "..."]) -> tuple[Array, Float[Array, "
 def stencil(
     column: Float[Array, "..."], row: Float[Array, "..."], cells: tuple[int, ...], side: Any = 1
 ) -> tuple[Array, Array, Float[Array, "... 3 3"]]:
-    """(columns, rows, weights) of the nine cells about a position in units of cells, of which each
-    has a `side` of so many in the map. What falls beyond an end is kept in the last row, so that
-    nothing is lost.
+    """(columns, rows, weights) of the nine cells from which a spline reads a position.
+
+    Beyond the first and last row the last cell counts, so that weights still sum to 1.
+
+    Args:
+        column: position around, in units of coarse cells.
+        row: position in elevation, in units of coarse cells.
+        cells: numbers of cells of the map, around and in elevation.
+        side: cells of the map along one side of a coarse cell.
     """
     nearest, across = spline_weights(column)
     level, upwards = spline_weights(row)
@@ -203,7 +209,11 @@ class SphereMap(AbstractRound):
         return 1.0 / self.square_width(indentation)
 
     def position(self, x: Any, y: Any, z: Any) -> tuple[Array, Array]:
-        """Where a direction (x, y, z) lies, in units of cells: azimuth, elevation."""
+        """Cell coordinates (azimuth, elevation) of a direction, in units of cells.
+
+        Args:
+            x, y, z: direction from the ball's centre; its length does not count.
+        """
         return self.column(x, y), self.row(direction_angle(safe_sqrt(x * x + y * y), z))
 
     def contact(self, volume, features):
@@ -286,7 +296,12 @@ class SphereMap(AbstractRound):
     def depth_towards(
         self, depth: Float[Array, "around along"], x: Scalar, y: Scalar, z: Scalar
     ) -> Scalar:
-        """Worn depth in the direction (x, y, z) [m]."""
+        """Worn depth [m] in a direction from the ball's centre.
+
+        Args:
+            depth: of each cell [m].
+            x, y, z: direction; its length does not count.
+        """
         sides = self.coarseness, self.coarse_along
         azimuth, elevation = (
             (at + 0.5) / side - 0.5 for at, side in zip(self.position(x, y, z), sides, strict=True)

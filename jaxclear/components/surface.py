@@ -222,7 +222,14 @@ class AbstractSurface(AbstractWearMap):
 
     @abstractmethod
     def patch(self, contact: Contact, columns: Any, row: Int[Array, "*rows"], depth: Array) -> Any:
-        """Cells worn so deep [m], which have `overlapped` and `pressures` as of a `Patch`."""
+        """Cells that a contact touches, which have `overlapped` and `pressures` as of a `Patch`.
+
+        Args:
+            contact: that wears the surface.
+            columns: what cells of a column share.
+            row: indices of the cells' rows.
+            depth: of these cells [m].
+        """
 
     @property
     def side(self) -> Array:
@@ -320,11 +327,20 @@ class AbstractSurface(AbstractWearMap):
         return jax.lax.cond(eqxi.unvmap_all(fits), narrow, rare)
 
     def loss(self, contact: Contact, patch: Any, start: Scalar) -> tuple[Depth, Scalar]:
-        r"""(depth [m] that each cell loses, eccentricity [m] of the part, sought from a `start`
-        [m]). Depths are in proportion to the mean pressure once a part of the volume is lost
-        (`Contact.removed`), :math:`\Delta h = (V/S) w m\sqrt{u - \Delta h}` with V that part, u the
-        largest overlap on the way before it, w the contact's share, m the mean of the roots over
-        the way beside the largest and S the integral of w times the root of a contact.
+        r"""(depth [m] that each cell loses, eccentricity [m] of the part).
+
+        Depths are proportional to the mean pressure once a part of the volume is lost
+        (`Contact.removed`),
+        :math:`\Delta h = (V/S) w m\sqrt{u - \Delta h}` with V that part, u the largest overlap on
+        the way
+        before it, w the contact's share, m the mean of the roots over the way relative to the
+        largest and S
+        the integral of w times the root of a contact.
+
+        Args:
+            contact: with the volume [m3] that it removes.
+            patch: its cells (`patch`).
+            start: eccentricity [m] at which the iteration begins.
         """
         area = self.areas()[0]
 
@@ -503,7 +519,13 @@ class AbstractRound(AbstractSurface):
         return rounding / level + 2.0 * sine * (1.0 + (0.5 * jnp.pi - 1.0) * sine * sine)
 
     def columns_within(self, middle: Scalar, reach: Scalar, all_around: Any) -> tuple[Any, Any]:
-        """(first column, how many) within so many columns of a place, or all."""
+        """(index of the first column, number of columns) within a distance of a place, or all.
+
+        Args:
+            middle: place around, in units of cells.
+            reach: distance to either side, in units of cells.
+            all_around: whether all columns count.
+        """
         first = -jnp.floor(reach - middle)
         columns = jnp.floor(middle + reach) - first + 1.0
         around = self.cells[0]
@@ -528,9 +550,17 @@ def through(
     long: Any = False,
     shared_by: Callable[[Array], Any] = lambda column: None,
 ) -> Any:
-    """What `visit` (of what a column's cells share, the place of a cell, and what the visit before
-    has left) leaves in the end, once it has been at all cells of a map of so many `cells` that are
-    touched. `long` as of `while_loop`."""
+    """Visits all touched cells of a map, one after the other; returns what the last visit returns.
+
+    Args:
+        touched: range of columns and rows.
+        cells: numbers of cells of the map, around and along.
+            visit: function of what a column's cells share, the cell's (column, row), and the last
+            result.
+        first: in the place of a result, for the first visit.
+        long: as of `while_loop`, for `first`.
+        shared_by: function of a column that computes what its cells share; default: None.
+    """
     around, along = cells
     # A turn once for all: a remainder of whole numbers costs as much as a cell.
     first_column = touched.first % around
@@ -556,7 +586,13 @@ def entry(array: Array, place: tuple) -> Scalar:
 
 
 def with_entry(array: Array, place: tuple, value: Scalar) -> Array:
-    """The array with another value at one place."""
+    """The array with one entry replaced.
+
+    Args:
+        array: of any rank.
+        place: index along each axis; may be traced.
+        value: new entry.
+    """
     return jax.lax.dynamic_update_slice(array, jnp.reshape(value, (1,) * array.ndim), place)
 
 
@@ -573,8 +609,13 @@ def half_steps(columns: int) -> Float[np.ndarray, "steps 2"]:
 
 
 def block_row(table: Float[np.ndarray, "n m"], index: Int[Array, "*rows"], side: Scalar) -> Any:
-    """Columns of a table by half steps, where the centre of the block of an index (or of several)
-    lies."""
+    """Columns of a table at the centre of a block of cells.
+
+    Args:
+        table: tabulated by half cells, shape (2 cells, m).
+        index: of the block, or of several.
+        side: cells along one side of a block.
+    """
     centre = (2.0 * block_centre(index, side)).astype(int)
     rows = table_rows(table, centre)
     return tuple(rows[..., k] for k in range(table.shape[1]))
@@ -607,6 +648,11 @@ def edge_depth(last: Array, inside: Array) -> Array:
 
 
 def spline(place: Scalar, left: Scalar, here: Scalar, right: Scalar) -> Scalar:
-    """A quadratic B-spline at a place, in cells from the nearest of three."""
+    """Value of a quadratic B-spline.
+
+    Args:
+        place: distance from the nearest of three knots, in cells, -0.5 to 0.5.
+        left, here, right: coefficients at the knots; `here` is the nearest.
+    """
     curvature = 0.5 * (left + right) - here
     return 0.125 * (left + 6.0 * here + right) + place * (0.5 * (right - left) + place * curvature)

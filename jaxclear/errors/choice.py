@@ -75,10 +75,19 @@ class Rung(NamedTuple):
 def rungs_of(
     mechanism: Mechanism, times: np.ndarray, accepts: Callable[[AbstractIntegrator], None]
 ) -> list[Rung]:
-    """Rungs that solve the model of a mechanism as it is stated, for a run saved at these times
-    [s]; rigid contact only where no other takes it and no law is compliant. `accepts` raises
-    `ValueError` for an integrator that does not suit the mechanism, and so does this where none
-    does."""
+    """Rungs that solve the model of a mechanism as it is stated.
+
+    Rigid contact is among them only where no other takes it and no law is compliant.
+
+    Args:
+        mechanism: of the run.
+        times: saving times [s].
+            accepts: function that raises `ValueError` for an integrator that does not suit the
+            mechanism.
+
+    Raises:
+        ValueError: no integrator suits.
+    """
     first = _first(mechanism, times)
     rungs = [
         _controlled(mechanism),
@@ -99,8 +108,18 @@ def rungs_of(
 def others_of(
     mechanism: Mechanism, times: np.ndarray, accepts: Callable[[AbstractIntegrator], None]
 ) -> tuple[list[Rung], list[Rung]]:
-    """Further rungs that solve the model of a mechanism as it is stated: of order 1, or with short
-    steps in contact alone; and those of other models of contact, rigid and permanent."""
+    """Further rungs: of the model as it is stated, and of other models of contact.
+
+    Args:
+        mechanism: of the run.
+        times: saving times [s].
+            accepts: function that raises `ValueError` for an integrator that does not suit the
+            mechanism.
+
+    Returns:
+            Rungs of order 1, or with short steps in contact alone; rungs with rigid and permanent
+        contact.
+    """
     first, interval = _first(mechanism, times), float(np.min(np.diff(times)))
     rungs = [FixedStep(first, "semi_implicit")]
     models: list[AbstractIntegrator] = []
@@ -246,14 +265,26 @@ def usual_work(times: np.ndarray) -> float:
 
 
 def is_usual_cheap(mechanism: Mechanism, again: Again, question: Question) -> bool:
-    """Whether a run by `Adaptive()` takes less than a choice may, of which it would be a part."""
+    """Whether a run by `Adaptive()` costs less than a choice of the integrator may.
+
+    Args:
+        mechanism: of the run.
+        again: repeats the run with an integrator over a share of its duration.
+        question: accuracy and saving times.
+    """
     rung = _controlled(mechanism)._replace(first=Adaptive())
     budget = PATIENCE * usual_work(question.times)
     return Search(again, question, budget).affords(rung, rung.first, [])
 
 
 def keeps_accuracy(run: Any, finer: Any, question: Question) -> bool:
-    """Whether a run is as accurate as asked, as one in half its steps tells."""
+    """Whether a run is as accurate as required, estimated from a run with half its steps.
+
+    Args:
+        run: trajectory that is judged.
+        finer: the same with half the step.
+        question: what is compared, and how accurate it must be.
+    """
     off = question.compare(run, question.observe(run), question.observe(finer))
     return all(float(richardson([each])) <= 1 for each in off.values())
 
@@ -261,9 +292,14 @@ def keeps_accuracy(run: Any, finer: Any, question: Question) -> bool:
 def choose_setting(
     rungs: list[Rung], again: Again, question: Question, budget: float | None = None
 ) -> Chosen:
-    """The cheapest setting of these rungs, of which the first is under error control if any is,
-    that keeps the accuracy; the most accurate one tried where none does within the `budget`
-    [evaluations of forces] (None: that of `budget_of`)."""
+    """The cheapest setting that keeps the accuracy; else the most accurate one tried.
+
+    Args:
+        rungs: families of settings; the first is under error control if any is.
+        again: repeats the run with an integrator over a share of its duration.
+        question: what is compared, and how accurate it must be.
+        budget: evaluations of forces that may be spent; None: `budget_of` the run.
+    """
     search = Search(again, question, budget)
     for rung in rungs:
         search.climb(rung)
@@ -346,7 +382,13 @@ class Search:
         return one.rung.controlled or self.reference is not None
 
     def affords(self, rung: Rung, setting: AbstractIntegrator, open_settings: list[Tried]):
-        """Whether a setting is worth a run, behind those that are not decided yet."""
+        """Whether a setting is worth a run, within the budget and the best work so far.
+
+        Args:
+            rung: its family.
+            setting: integrator with its steps.
+            open_settings: runs of the rung that are not decided yet.
+        """
         work = rung.work_before(setting, self.question.times)
         last = open_settings[-1].work if open_settings else None
         least_work = open_settings[0].work if open_settings else work

@@ -246,14 +246,22 @@ def _factors_of_scars(run: Trajectory) -> dict[str, Any]:
 
 
 def factor_of_cells(surface: AbstractSurface, features: Any, depth: Any, narrow: Any) -> Any:
-    """The error that cells leave in a depth, relative to what cells twice as wide change, by the
-    mean `features` of what wore the surface, its `depth` [m] and how `narrow` its scar is
-    (`Check.WEAR_BY_CELLS`).
+    """Error that cells leave in a worn depth, over the change when cells are twice as wide.
 
-    It is that of order 2, of a narrow scar that of order 1. Scars of flat faces have edges, which
-    lie anywhere in cells, so that two numbers of cells agree by chance: Roache's factor of safety,
-    3, on order 1. A contact narrower than its cells has been widened to them, and depths go with
-    one over each of its widths, of which fourth powers add up: those of the contact and of cells.
+    It is that of order 2; of a narrow scar that of order 1. Scars of flat faces have edges anywhere
+    in a
+    cell, so two resolutions agree by chance: there Roache's factor of safety, 3, on order 1. A
+    contact
+    narrower than its cells has been widened to them, and depths go with one over each of its
+    widths, of
+    which fourth powers add up.
+
+    Args:
+        surface: with its cells.
+        features: means of what wore the surface, such as the direction.
+        depth: worn depth of each cell [m].
+        narrow: how narrow the scar is (`Check.WEAR_BY_CELLS`).
+
     Source: Roache 1994, J. Fluids Eng. 116, 405, doi:10.1115/1.2910291.
     """
     resolved = jnp.where(narrow <= Check.WEAR_BY_CELLS.limit, 1 / 3, 1.0)

@@ -214,9 +214,13 @@ def _in_gaps(now: Instant) -> tuple:
 def differences(
     run: Trajectory, one: Observables, other: Observables, finest: Observables
 ) -> list[Difference]:
-    """How far two runs are apart, by answer; `run`: the first of them, which is judged and whose
-    names are told; `finest`: the run that is nearest to what answers are, beside which they are
-    judged."""
+    """Differences of two runs in the standard answers.
+
+    Args:
+        run: the one that is judged, which names joints and bodies.
+        one, other: what is observed of the two runs.
+        finest: what is observed of the most accurate run, which scales the differences.
+    """
     one, other, finest = (Observables(*map(_numbers, each)) for each in (one, other, finest))
     widest = 0.0 if one.rooms is None else float(np.max(np.asarray(one.rooms), initial=0.0))
     arm = float(one.arm)

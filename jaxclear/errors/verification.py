@@ -54,8 +54,13 @@ class Replica(NamedTuple):
 
 
 def replica(integrator: AbstractIntegrator, times: Any, share: float) -> Replica | None:
-    """How a run that is saved at these times [s] is repeated with steps of this share, one of a
-    whole number; None where the integrator knows no finer steps."""
+    """How a run is repeated with finer steps; None where the integrator has none.
+
+    Args:
+        integrator: of the run.
+        times: its saving times [s].
+        share: ratio of the steps to those of the run, one over a whole number.
+    """
     finer = round(1 / share)
     if integrator.steps_between_saves is not None:
         return Replica(integrator, refine_times(times, finer), finer)
@@ -131,10 +136,15 @@ def verify_run(
     verify: bool | None,
     bounds: Bounds | None = None,
 ) -> Trajectory:
-    """The run with what its replicas tell; `again(replica, moved)`: the same run as that
-    `Replica` is made, its start moved by so much. `verify`: whether replicas are run (None: where
-    they take seconds at the most). `asked`: the accuracy (None: what the integrator promises). What
-    goes wrong in replicas, Ctrl-C too, leaves the run as it is."""
+    """The run with what its replicas tell; an error or Ctrl-C in replicas leaves the run as it is.
+
+    Args:
+        run: trajectory that is verified.
+        integrator: of the run.
+        again: `again(replica, moved)`: the same run as the `Replica` says, from a shifted start.
+        verify: whether replicas are run; None: where they take seconds at most.
+        bounds: required accuracy; None: what the integrator promises.
+    """
     bounds = Bounds(integrator.promise) if bounds is None else bounds
     why = _why_not(run, verify)
     # Worn depths hang on updates and cells, which nothing but replicas looks at.

@@ -42,13 +42,29 @@ class AbstractForm(ABC):
 
     @abstractmethod
     def read(self, node: Node, path: str, folder: Path) -> Any:
-        """What a value of a file is. `path`: its place in the file; `folder`: where files that it
-        names are. Raises `Misread` with a sentence."""
+        """What a value of a file is.
+
+        Args:
+            node: the value with its line.
+            path: its place in the file, for messages.
+            folder: in which files that it names are.
+
+        Raises:
+            Misread: it is not of this form.
+        """
 
     @abstractmethod
     def plain(self, thing: Any, path: str, mechanism: Mechanism) -> Any:
-        """A thing as dictionaries, lists, texts and numbers. `path`: what it is called;
-        `mechanism`: that in which variables point. Raises `ValueError` with a sentence."""
+        """A thing as dictionaries, lists, texts and numbers.
+
+        Args:
+            thing: value of an argument.
+            path: what it is called in messages.
+            mechanism: in which variables point.
+
+        Raises:
+            ValueError: it cannot be written to a file.
+        """
 
     @abstractmethod
     def schema(self, defs: dict[str, Schema]) -> Schema:

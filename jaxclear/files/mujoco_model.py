@@ -30,9 +30,17 @@ class Compiled(NamedTuple):
 
 
 def compiled(path: Any, *, floating: bool, visible: bool = False) -> Compiled:
-    """The model in a file of URDF or MJCF. `floating`: bodies that stand in the ground without a
-    joint, the roots, get a free one. `seen`: with geometries that are only seen. Raises
-    `ValueError` with a sentence, `ImportError` without MuJoCo."""
+    """The model in a file of URDF or MJCF, as MuJoCo compiles it.
+
+    Args:
+        path: of the file.
+        floating: whether root bodies without a joint get a free one.
+        visible: whether geometries that are only for display are read too.
+
+    Raises:
+        ValueError: MuJoCo cannot read the file.
+        ImportError: MuJoCo is not installed.
+    """
     check_flags("the import", floating=floating)
     if importlib.util.find_spec("mujoco") is None:
         raise ImportError(
@@ -147,7 +155,13 @@ def names_of(model: Any) -> tuple[list[str], list[str]]:
 
 
 def free_name(name: str, taken: list[str], ending: str = " body") -> str:
-    """A name, with its ending where another has it already."""
+    """A name that is not taken, with an ending where it is.
+
+    Args:
+        name: wanted.
+        taken: names in use.
+        ending: that is appended.
+    """
     if name not in taken:
         return name
     name = f"{name}{ending}"
@@ -208,8 +222,20 @@ def keyframes(model: Any) -> list[str]:
 
 
 def coordinates_at(model: Any, joints: list[str], keyframe: str) -> dict[str, tuple[float, ...]]:
-    """The coordinates of joints at a keyframe, from the reference on; of balls and free joints as
-    they are. Raises `ValueError` for another name."""
+    """Coordinates of joints at a keyframe, by name.
+
+    Those of hinges and slides count from the reference configuration; of balls and free joints they
+    are
+    MuJoCo's.
+
+    Args:
+        model: MuJoCo's.
+        joints: names by index.
+        keyframe: its name.
+
+    Raises:
+        ValueError: there is no such keyframe.
+    """
     names = keyframes(model)
     check_name("keyframe", keyframe, names)
     value, coordinates = model.key_qpos[names.index(keyframe)], {}

@@ -64,7 +64,13 @@ class Node:
 
 
 def misread(node: Node, path: str, sentence: str) -> Misread:
-    """What is wrong with a value at a place."""
+    """The error for a value of a file that is not what it must be.
+
+    Args:
+        node: the value with its line.
+        path: its place in the file.
+        sentence: follows the place: what is wrong, and what it must be.
+    """
     line = f"line {node.line}, " if node.line else ""
     place = path if len(path) <= LONGEST_PLACE else f"{path[:LONGEST_PLACE]}..."
     if len(sentence) > LONGEST_SENTENCE:

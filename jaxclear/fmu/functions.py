@@ -167,7 +167,15 @@ def check_places(model: Model, carry: Carry) -> list[tuple[Check, str]]:
 def run_of_step(
     mechanism: Mechanism, integrator: AbstractIntegrator, before: Any, now: Carry, times: Any
 ) -> Trajectory:
-    """The run over one communication step."""
+    """The run over one communication step, from which outputs are read.
+
+    Args:
+        mechanism: with its parameters.
+        integrator: that made the step.
+        before: state at the beginning of the step, shape (n,).
+        now: state and counters at its end.
+        times: beginning and end of the step [s].
+    """
     model = model_of(mechanism, integrator.formulation)
     # What adds up (impulses, worn volumes) counts from its beginning, as of any run.
     adds_up = jnp.arange(model.layout.size) >= model.layout.remembered.stop

@@ -74,7 +74,13 @@ def _with_new_members(name: str, bases: tuple, namespace: dict) -> dict:
 
 
 def with_new_arguments(owner: str, parameters: Container[str], args: dict) -> dict:
-    """Arguments with their new names; warns of old ones, of which the `owner` is known."""
+    """Arguments under their new names; warns of old ones.
+
+    Args:
+        owner: name of the class or function in the warning.
+        parameters: names that it takes now.
+        args: arguments by name, as given.
+    """
     for old, new in RENAMED_ARGUMENTS.items():
         if old in args and old not in parameters and new in parameters and new not in args:
             sentence = (
@@ -181,7 +187,13 @@ def _as_offered(kind: Any) -> Any:
 
 
 def refuse_misfit(called: Callable, args: tuple, kwargs: dict) -> None:
-    """Raises `TypeError` with a sentence where arguments do not fit a function or class."""
+    """Raises `TypeError` with a sentence where arguments do not fit a function or class.
+
+    Args:
+        called: function or class.
+        args: arguments by position.
+        kwargs: arguments by name.
+    """
     sentence = _misfit(called, args, kwargs)
     if sentence:
         raise TypeError(sentence)

@@ -120,7 +120,13 @@ def of_jax() -> Path | None:
 
 
 def write(kind: str, key: str, content: bytes) -> None:
-    """Keeps something of a kind under a key. Where that cannot be done, nothing is kept."""
+    """Saves a file in the cache folder; where that fails, nothing is saved.
+
+    Args:
+        kind: of the content, which is part of the file's name.
+        key: under which it is read again.
+        content: bytes of the file.
+    """
     folder = made()
     if folder is None:
         return

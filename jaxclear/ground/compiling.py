@@ -63,8 +63,10 @@ def _is_structure(leaf: Any) -> bool:
 def map_grouped(function: Callable, calls: Sequence[tuple], smallest: int = SMALLEST_GROUP) -> list:
     """[function(*arguments) for arguments in calls], with alike calls mapped together.
 
-    The function must be pure; its result may contain structural integers, which must not depend on
-    array values. Many alike pieces that are traced stay a loop (`grouping`).
+    Args:
+        function: pure; its result may hold structural integers that do not depend on array values.
+        calls: arguments of each call; those of equal structure and shapes are alike.
+        smallest: smallest number of alike calls that are mapped.
     """
     groups: dict[tuple, list[int]] = {}
     for index, arguments in enumerate(calls):

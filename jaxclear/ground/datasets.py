@@ -58,8 +58,15 @@ def dataset(
     problem: Mapping[str, str] | None = None,
     **further: Any,
 ) -> Any:
-    """An xarray Dataset of `what`; `problem`: a text for each part of what was asked; `said`: more
-    attributes. An index that is not given as a coordinate counts."""
+    """An xarray Dataset with provenance as attributes.
+
+    Args:
+        columns: variables by name, with dimensions and units.
+        coordinates: by name; a dimension without one is counted.
+        what: what the set holds, an attribute.
+        problem: text for each part of the problem, an attribute.
+        further: more attributes.
+    """
     import xarray
 
     attributes: dict[str, Any] = {"what": what}

@@ -68,8 +68,13 @@ class Description:
         self.described: dict[str, Any] = {}
 
     def add(self, thing: Any, path: str, ancestors: tuple[int, ...] = ()) -> None:
-        """Adds the texts of a thing and of its parts. `ancestors`: whose part it is, by
-        identity."""
+        """Adds the texts of a thing and of its parts.
+
+        Args:
+            thing: any object.
+            path: name of the thing among all parts.
+            ancestors: identities of the things whose part it is, which end recursion.
+        """
         if id(thing) in ancestors:
             self.texts[path] = "what it is a part of"
             return

@@ -122,8 +122,16 @@ solve_p = Primitive("jaxclear_symmetric_solve")
 
 
 def solved(pattern: Pattern, entries: Any, least: Any, right: Any) -> Any:
-    """x of M x = right, for a matrix of this pattern whose entries are given in its order. Where a
-    pivot is not above the `least` of its row the unknown is 0 (in a kernel; None: nowhere)."""
+    """x of M x = right, for a symmetric positive definite matrix.
+
+    Args:
+        pattern: of the non-zero entries of M.
+        entries: of M, in the order of the pattern.
+            least: smallest pivot of each row, at or below which its unknown is 0 (in a kernel);
+            None: no
+            limit.
+        right: right side, shape (n,).
+    """
     return solve_p.bind(entries, *([] if least is None else [least]), right, pattern=pattern)
 
 

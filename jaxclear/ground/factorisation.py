@@ -292,8 +292,16 @@ class Change(NamedTuple):
 def least_change(
     rows: Float[Array, "rows n"], targets: Float[Array, " rows"], scales: Float[Array, " n"]
 ) -> Change:
-    """Smallest x, measured as x / scales, with rows @ x = targets; a row that follows from earlier
-    ones is left out, met or not. All derivatives are finite, also where x is zero.
+    """Smallest x, measured as x / scales, with rows @ x = targets.
+
+    A row that follows from earlier ones is left out, whether it holds or not. All derivatives are
+    finite,
+    also where x is zero.
+
+    Args:
+        rows: coefficients; earlier rows have priority.
+        targets: right side.
+        scales: size of each unknown.
     """
     scaled = rows * scales
     m = rows.shape[0]
@@ -327,9 +335,18 @@ def of_rank(
     scales: Float[Array, " n"],
     rank: int,
 ) -> tuple[Float[Array, "rank n"], Float[Array, " rank"]]:
-    """Equations, so many, that say the same as `rows @ x = targets` where only that many of them
-    are independent: the rows that stand out most, one after the other; the rest is not looked at. A
-    row is zero where fewer are independent."""
+    """Equations equivalent to rows @ x = targets, of which only `rank` are independent.
+
+    They are chosen by pivoting: each is the largest remainder of the rows. A row is zero where
+    fewer are
+    independent.
+
+    Args:
+        rows: coefficients, more than `rank`.
+        targets: right side.
+        scales: size of each unknown, by which rows are compared.
+        rank: number of equations returned.
+    """
     scaled = rows * scales
     largest = jnp.max(jnp.sum(scaled * scaled, axis=1), initial=0.0)
 

@@ -107,7 +107,13 @@ def looked_up(array: jax.Array, places: np.ndarray) -> jax.Array:
 
 
 def summed(terms: jax.Array, places: np.ndarray, count: int) -> jax.Array:
-    """So many sums, each of the terms whose known place it is."""
+    """Sums of terms by index, shape (count,).
+
+    Args:
+        terms: shape (n,).
+        places: index of the sum to which each term goes, shape (n,).
+        count: number of sums.
+    """
     numbers = lax.ScatterDimensionNumbers(
         (), inserted_window_dims=(0,), scatter_dims_to_operand_dims=(0,)
     )

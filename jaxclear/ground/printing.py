@@ -209,7 +209,13 @@ def as_written(number: Any) -> str:
 
 
 def in_digits(value: float, error: float, least: int = 5) -> str:
-    """A number with so many digits that two of its error are among them, and at least so many."""
+    """A number as text, with two digits of its error.
+
+    Args:
+        value: to be printed.
+        error: that bounds how many digits say something.
+        least: smallest number of significant digits.
+    """
     if not (math.isfinite(value) and math.isfinite(error) and value and error):
         return f"{value:.{least}g}"
     digits = math.floor(math.log10(abs(value))) - math.floor(math.log10(abs(error))) + 2

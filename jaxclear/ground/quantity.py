@@ -588,8 +588,13 @@ def _leaves(kind: type) -> tuple[tuple[str, Mapping], ...]:
 
 
 def check_range(owner: Callable[[], str], path: str, leaf: Any, metadata: Mapping) -> None:
-    """Raises `ValueError` if a known number is not finite or not within its field's range; `owner`
-    says whose number it is.
+    """Raises `ValueError` for a number that is not finite or outside its range; traced ones pass.
+
+    Args:
+        owner: function that names whose number it is, called only for the message.
+        path: name of the number in the message.
+        leaf: number or array.
+        metadata: of its field: unit and bounds.
     """
     if "unit" not in metadata or isinstance(leaf, jax.core.Tracer):
         return

@@ -46,10 +46,14 @@ def as_table(
     errors: Mapping[str, str] | None = None,
     columns: Sequence[str] | None = None,
 ) -> Any:
-    """A pandas table of rows (dictionaries), columns or another table, to be looked at.
+    """A pandas table of rows (dictionaries), columns or another table, for printing.
 
-    `index`: the columns that name its rows. `units`: by column; a column "unit" has those of the
-    rows. `errors`: by column that of its error, by default "mean error" for "mean".
+    Args:
+        rows: what pandas takes, or a table, whose units and errors are kept.
+        index: columns that name its rows.
+        units: by column; a column "unit" has those of the rows.
+        errors: by column, the column of its error; by default "mean error" for "mean".
+        columns: which columns, in order; None: all.
     """
     table = _kind()(rows, columns=columns)
     table = table if index is None else table.set_index(index)

@@ -65,8 +65,14 @@ def meant(name: Any, names: Iterable[Any]) -> str:
 
 
 def unknown(what: str, name: Any, names: Iterable[Any], where: str = "") -> str:
-    """A sentence for a name that there is not, with those that there are and the nearest; `where`:
-    in what, such as " in this mechanism"."""
+    """A sentence for a name that does not exist, with those that do and the nearest.
+
+    Args:
+        what: kind of thing that is named, such as "joint".
+        name: as given.
+        names: that exist.
+        where: follows the name, such as " in this mechanism".
+    """
     names = list(names)
     if not isinstance(name, str):
         named = f"one of {listed(names)}" if names else "but there is none"

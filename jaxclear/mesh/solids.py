@@ -80,8 +80,13 @@ class Solid(eqx.Module):
 
 
 def bush(wear_map: Any, thickness: float, cells: tuple[int, int, int]) -> Solid:
-    """Ring around a bearing's bore: `cells` around (a multiple of 4), along (even) and through
-    (even); its outer wall stays."""
+    """A ring around a bearing's bore; its outer wall stays.
+
+    Args:
+        wear_map: of the bearing, with radius and length [m].
+        thickness: of the ring [m].
+        cells: around (a multiple of 4), along (even) and through (even).
+    """
     radius, length = float(wear_map.radius), float(wear_map.length)
     outward = radius + thickness * _heights(cells[2])
     blocks = [
@@ -96,9 +101,13 @@ def bush(wear_map: Any, thickness: float, cells: tuple[int, int, int]) -> Solid:
 
 
 def pin(wear_map: Any, thickness: float, cells: tuple[int, int, int]) -> Solid:
-    """Journal with a square core: `cells` around (a multiple of 4), along (even) and from the wall
-    to the core (even). Its `thickness` [m] is that of the blocks at the wall, at most half the
-    radius."""
+    """A journal with a square core.
+
+    Args:
+        wear_map: of the journal, with radius and length [m].
+        thickness: of the blocks at the wall [m], at most half the radius.
+        cells: around (a multiple of 4), along (even) and from the wall to the core (even).
+    """
     radius, length = float(wear_map.radius), float(wear_map.length)
     angles = np.linspace(0, 2 * np.pi, cells[0] + 1) + np.pi / 4
     side = cells[0] // 4
@@ -122,8 +131,13 @@ def pin(wear_map: Any, thickness: float, cells: tuple[int, int, int]) -> Solid:
 
 
 def socket(wear_map: Any, thickness: float, cells: tuple[int, int, int]) -> Solid:
-    """Shell around a ball, the six sides of a cube blown up: `cells` around (a multiple of 4), the
-    second number is not needed, and through (even); its outer wall stays."""
+    """A shell around a ball, from the six sides of a cube; its outer wall stays.
+
+    Args:
+        wear_map: of the socket, with its radius [m].
+        thickness: of the shell [m].
+        cells: around (a multiple of 4), a number that is not used, and through (even).
+    """
     radius = float(wear_map.radius)
     outward = radius + thickness * _heights(cells[2])
     share = np.tan(np.linspace(-0.25, 0.25, cells[0] // 4 + 1) * np.pi)

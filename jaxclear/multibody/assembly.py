@@ -77,9 +77,19 @@ def assemble_arrays(
     worn: dict | None = None,
     straight: bool = True,
 ) -> Start:
-    """The consistent start nearest to what is guessed, in the mode to which a search from `rough`
-    coordinates and speeds leads, by default the mechanism's guess; of surfaces `worn` so deep [m],
-    beams `straight` as far as can be; pure, so it maps and differentiates."""
+    """The consistent start nearest to the guess, as arrays; pure, so it maps and differentiates.
+
+    Args:
+        mechanism: whose `start` and `speeds` are met, and whose `guess` is approached.
+        concentric: whether journals are put in the middle of their bearings as far as loops allow.
+        time: start of the run [s].
+            rough: coordinates and speeds at which the search begins, which decides the mode; None:
+            at the
+            mechanism's guess.
+            worn: depth maps [m] of surfaces that are worn at the start, by joint and surface; None:
+            new.
+        straight: whether beams start straight and at rest as far as the other equations allow.
+    """
     problem = ask(mechanism, concentric, worn)._replace(straight=straight)
     values = guess(mechanism, problem.system) if rough is None else rough
     return _solved(problem, *values, time, rough is None, call=in_one)
@@ -152,16 +162,30 @@ def _searched(problem: Ask, q: Array, v: Array, time: Any) -> tuple[Array, Array
 
 
 def closest(problem: Ask, q: Array, time: Any) -> Array:
-    """Coordinates that miss closed loops, and what is given, by least: also where no coordinates
-    close the loops, or where some of their rows are redundant."""
+    """Coordinates that violate loops and given values least, by damped steps.
+
+    It also serves where no coordinates close the loops, or some of their rows are redundant.
+
+    Args:
+        problem: equations of the start (`ask`).
+        q: coordinates of the tree at which the search begins, shape (coordinates,).
+        time: instant [s] of the drives.
+    """
 
     return closed(problem, q, time, SETTLING, (LOOP, START), damped=True)
 
 
 def carried_on(mechanism: Mechanism, coordinates: Array, speeds: Array, time: Any) -> Start:
-    """The start at a `time` [s] from coordinates and speeds of a run: they themselves where its
-    loops are closed, as far as a run keeps them, otherwise the nearest that close them. Nothing
-    that is given for a start is held; pure.
+    """The start from coordinates and speeds of a run; pure. Nothing that `start` gives is imposed.
+
+    They are kept where they close the loops to the accuracy of a start, otherwise the nearest that
+    do.
+
+    Args:
+        mechanism: whose loops must close; its `start`, `speeds` and `guess` are ignored.
+        coordinates: of the tree, shape (coordinates,).
+        speeds: free speeds, shape (speeds,).
+        time: instant [s] of this state.
     """
     bare = ungiven(mechanism)
     problem = ask(bare, False)
@@ -389,7 +413,12 @@ class FirstSearch(NamedTuple):
 
 
 def first_search(mechanism: Mechanism, concentric: bool, worn: dict | None = None) -> FirstSearch:
-    """Where the search for a start leads from what is guessed of a mechanism with numbers."""
+    """The start to which the search from the mechanism's guess leads, and what other searches need.
+
+    Args:
+        mechanism: with numbers (not traced); its redundancy is determined anew.
+        concentric, worn: mode of journals and depth maps [m] as in `assemble_arrays`.
+    """
     bare = with_redundancy(mechanism, None)
     begin = at_guess(mechanism)
     first = _judged(bare, concentric, worn, begin, _is_drawn(bare, concentric, worn))
@@ -416,9 +445,15 @@ class Nearest(NamedTuple):
 
 
 def nearest(mechanism: Mechanism, concentric: bool = True, worn: dict | None = None) -> Nearest:
-    """The start nearest to what is guessed, of surfaces `worn` so deep [m] (None: new ones): other
-    beginnings are tried where the first has not landed on it. Warns where another mode is about as
-    near. What is being traced is taken as it comes."""
+    """The start nearest to the guess; other beginnings are searched where the first misses it.
+
+    Warns where another mode is about as near. A traced mechanism gets the first search only.
+
+    Args:
+        mechanism: with its `guess`, from which distances are measured.
+        concentric: whether journals are put in the middle of their bearings.
+        worn: depth maps [m] by joint and surface; None: new surfaces.
+    """
     if is_traced((mechanism, worn)) or is_tracing():
         return Nearest(mechanism, *_judged(mechanism, concentric, worn)[:2])
     first = first_search(mechanism, concentric, worn)
@@ -442,8 +477,16 @@ def nearest(mechanism: Mechanism, concentric: bool = True, worn: dict | None = N
 
 
 def ready(mechanism: Mechanism, concentric: bool = True, worn: dict | None = None) -> Nearest:
-    """A mechanism that knows which rows of its loops are redundant, and its start, both as
-    `assemble` wants them. Raises `ValueError` for a start that is not sound."""
+    """The mechanism with its redundant rows, and its start, both as `assemble` needs them.
+
+    Args:
+        mechanism: traced or with numbers; only with numbers its start is checked.
+        concentric: whether journals are put in the middle of their bearings.
+        worn: depth maps [m] by joint and surface; None: new surfaces.
+
+    Raises:
+        ValueError: the start does not meet what `start` and `speeds` give, or loops do not close.
+    """
     result = nearest(mechanism, concentric, worn)
     if not is_traced(result.start) and not result.sound:
         start_check.refuse(result.mechanism, result.start)
@@ -453,7 +496,17 @@ def ready(mechanism: Mechanism, concentric: bool = True, worn: dict | None = Non
 def ready_from(
     mechanism: Mechanism, coordinates: Array, speeds: Array, time: Any
 ) -> tuple[Mechanism, Start]:
-    """`ready`, from coordinates and speeds of a run (`carried_on`)."""
+    """The mechanism with its redundant rows, and the start from a state of a run (`carried_on`).
+
+    Args:
+        mechanism: whose redundancy is determined anew at this state.
+        coordinates: of the tree, shape (coordinates,).
+        speeds: free speeds, shape (speeds,).
+        time: instant [s] of this state.
+
+    Raises:
+        ValueError: no start near the state closes the loops.
+    """
     bare = with_redundancy(mechanism, None)
     begin = lambda m: _carried_on(m, coordinates, speeds, time)
     start, sound = begin(bare)
@@ -517,8 +570,16 @@ class Sampled(NamedTuple):
 
 
 def sampled(mechanism: Mechanism, concentric: bool, worn: dict | None) -> Sampled:
-    """What samples share with a nominal mechanism. Raises `ValueError` for a start that is
-    refused."""
+    """What samples share with the nominal mechanism: determined names, redundancy and the mode.
+
+    Args:
+        mechanism: the nominal one, with numbers.
+        concentric: whether journals are put in the middle of their bearings.
+        worn: depth maps [m] by joint and surface; None: new surfaces.
+
+    Raises:
+        ValueError: the nominal start is refused.
+    """
     result = ready(mechanism, concentric, worn)
     values, start = result.mechanism, result.start
     if is_traced(start):

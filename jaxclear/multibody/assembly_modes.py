@@ -81,7 +81,13 @@ class Nominal(eqx.Module):
 
 def nominal(mechanism: Mechanism, start: Start, searched: bool) -> Nominal:
     """The mode of a start of a mechanism with numbers. Samples begin there where nothing is left
-    free, or the mechanism's own guess has not led there (`searched`)."""
+    free, or the mechanism's own guess has not led there (`searched`).
+
+    Args:
+        mechanism: the nominal one; only the names of its tree are read.
+        start: its start; `start.rows` are the Jacobian of all equations that hold it.
+        searched: whether other beginnings than the guess led to this start.
+    """
     rows = np.asarray(start.rows)
     count = rows.shape[1]
     across = np.eye(count)
@@ -167,9 +173,15 @@ def leaves_free(start: Start) -> bool:
 def modes(
     tree: "Coordinates", search: Search, beginnings: Iterable[tuple[Beginning, int]]
 ) -> list[Mode]:
-    """The modes to which searches from beginnings lead, each counted so often: the nearest to what
-    is guessed first, of those as near the one that is nearest to the mechanism's own beginning,
-    which is its joints' homes where nothing is guessed."""
+    """The modes to which searches lead, nearest to the guess first, with counts of searches.
+
+    Modes that are about as near are ordered by the distance from where the mechanism itself begins.
+
+    Args:
+        tree: measures distances between coordinates of the tree.
+        search: function from a beginning to a start and whether it is sound.
+        beginnings: where searches begin, each with the number of searches that it stands for.
+    """
     result: list[Mode] = []
     for begin, count in beginnings:
         start, sound = search(begin)
@@ -204,8 +216,13 @@ def _is_one(tree: "Coordinates", a: Start, b: Start) -> bool:
 
 
 def doubt(mechanism: Mechanism, tree: "Coordinates", result: list[Mode]) -> str:
-    """A sentence where the second of modes is about as near to what is guessed as the first, with
-    both distances; "" where it is not."""
+    """A warning that two modes are about as near to the guess, with both distances; "" where not.
+
+    Args:
+        mechanism: whose `guess` is ambiguous; without a guess there is no warning.
+        tree: names the coordinate in which the two modes differ most.
+        result: modes, nearest first (`modes`).
+    """
     if len(result) < 2 or not mechanism.guess:
         return ""
     first, second = result[:2]
@@ -323,8 +340,16 @@ def _repeats(joint: Any) -> np.ndarray:
 
 
 def beginnings(mechanism: Mechanism, tree: Coordinates, count: int) -> Iterator[Beginning]:
-    """So many beginnings around the mechanism's own. What `start` gives stays; every other one
-    heeds what is guessed, a half of it that is drawn."""
+    """Random beginnings of searches around the mechanism's own, from a fixed seed.
+
+    Coordinates that `start` gives are kept; every other beginning keeps a random half of the guess
+    too.
+
+    Args:
+        mechanism: whose `start` and `guess` name what is kept.
+        tree: the mechanism's own beginning, with units and branches of the coordinates.
+        count: number of beginnings.
+    """
     random = np.random.default_rng(0)
     for k in range(count):
         led = k % 2 == 0

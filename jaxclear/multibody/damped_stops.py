@@ -80,8 +80,15 @@ def forces_at(system: System, motions: tuple[Motion, ...], *others: Any) -> Forc
 def with_settled_loads(
     mechanism: Mechanism, system: System, motions: tuple[Motion, ...], delay: Any, times: Any
 ) -> Mechanism:
-    """The mechanism with the numbers of its loads that follow from the inertia along their
-    coordinates, for a run that begins as the links stand and is saved at these times [s]."""
+    """The mechanism with the numbers of loads that follow from the inertia along their coordinates.
+
+    Args:
+        mechanism: its loads without these numbers.
+        system: prepared mechanism, as `prepare` returns it.
+        motions: motion of every link at the start, at which the inertia is taken.
+        delay: time that the steps resolve [s].
+        times: saving times of the run [s].
+    """
     names = loads_to_settle(mechanism)
     loads: dict[str, Any] = dict(mechanism.loads)
     rows = [_coordinate_row(system, motions, *loads[name].coordinates()) for name in names]

@@ -33,7 +33,14 @@ TIMES = (0.0, 0.137)
 
 
 def check_plane(topology: Topology, bodies: dict, connections: dict, loads: dict) -> None:
-    """Raises `ValueError` for a body in the plane of which something given lies outside it."""
+    """Raises `ValueError` for something given outside the plane in which its floating body moves.
+
+    Args:
+        topology: its floating bodies with an inertia about z only move in the plane.
+        bodies: by name, with mass centres.
+        connections: by name, with markers on these bodies.
+        loads: by name, with markers and directions.
+    """
     floating = {b.body for b in topology.branches if b.connection is None}
     planar = {body for body in floating if len(bodies[body].inertia) == 1}
     for body in sorted(planar):

@@ -55,8 +55,13 @@ class Mesh(eqx.Module):
         return [a - b for a, b in zip(*angles, strict=True)]
 
     def counted(self, residual: Any, pose: Pose, motions: tuple[Motion, ...]) -> Any:
-        """The residual with whole turns; 0 where nothing tells them, so that speeds alone are
-        tied."""
+        """The residual with whole turns; 0, which ties only speeds, where nothing counts turns.
+
+        Args:
+            residual: of the coupling, from angles within one turn [m].
+            pose: the second marker in the first.
+            motions: motion of every link, with the coordinates that count turns.
+        """
         radii, rotated = self.coupling.radii(self.drawn), self._turn_angles(pose)
         if len(radii) > 1 and self.counts == (None,) * len(radii):
             return jnp.zeros_like(residual)
@@ -128,7 +133,13 @@ def markers(coupling: AbstractBodyCoupling, connections: dict[str, Connection]) 
 def drawn_pose(
     coupling: AbstractBodyCoupling, bodies: dict[str, Body], connections: dict[str, Connection]
 ) -> Pose:
-    """The pose of the second marker in the first where all joints are at home."""
+    """Pose of the second marker in the first where all joints are at home.
+
+    Args:
+        coupling: of two bodies, whose markers it takes from its joints.
+        bodies: by name.
+        connections: by name.
+    """
     first, second = markers(coupling, connections)
     places = _drawn(bodies, connections)
     poses = [places[marker.body].after(marker.pose()) for marker in (first, second)]
@@ -143,8 +154,13 @@ MOVED, AS_FAR = 0.3, 1e-6
 def is_distance_free(
     coupling: AbstractBodyCoupling, bodies: dict[str, Body], connections: dict[str, Connection]
 ) -> bool:
-    """Whether two wheels come nearer or further as the other joints move: no body carries both.
-    Joints that have other than coordinates one by one are left where they are."""
+    """Whether the distance of two wheels' axes changes as other joints move: no body carries both.
+
+    Args:
+        coupling: of two wheels.
+        bodies: by name.
+        connections: by name; joints on groups are left at home.
+    """
     first, second = markers(coupling, connections)
     others = {n: c for n, c in connections.items() if n not in coupling.joints()}
     moved = {n: MOVED / (1 + i) for i, n in enumerate(others)}
@@ -189,7 +205,14 @@ def mesh(
     bodies: dict[str, Body],
     connections: dict[str, Connection],
 ) -> Mesh:
-    """The reading of a coupling of bodies."""
+    """How the residual of a coupling of bodies is read: pose at home and what counts turns.
+
+    Args:
+        coupling: of two bodies.
+        topology: its tree says which coordinates count whole turns.
+        bodies: by name.
+        connections: by name.
+    """
     drawn = drawn_pose(coupling, bodies, connections)
     parts = list(meshing_parts(coupling, connections))
     if len(coupling.angles(drawn)) == 1:

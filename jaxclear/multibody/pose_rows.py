@@ -190,7 +190,13 @@ def gradients(reading: Any, pose: Pose) -> tuple[tuple, list[Gradient]]:
 
 
 def rate(gradient: Gradient, pose: Pose, velocity: sp.Vec, spin: sp.Vec) -> Any:
-    """Rate of a row for a relative velocity and spin."""
+    """Rate of a row for a relative velocity and spin.
+
+    Args:
+        gradient: of the row by the pose.
+        pose: the child's marker in the parent's.
+        velocity, spin: of the child as seen from the parent, in its axes [m/s, rad/s].
+    """
     force, torque = gradient.wrench(pose)
     return sp.add(sp.dot(force, velocity), sp.dot(torque, spin))
 
@@ -202,8 +208,15 @@ def accelerations(
     motion: tuple[sp.Vec, sp.Vec],
     second: tuple[sp.Vec, sp.Vec],
 ) -> tuple:
-    """Second derivative of each row, for the relative velocity and spin of the `motion` and their
-    rates, all as seen from the moving parent's marker."""
+    """Second derivative of each row, by differentiating its reading twice along the motion.
+
+    Args:
+        reading: function of the pose that gives the residuals.
+        pose: the child's marker in the parent's.
+        slopes: gradients of all rows at this pose.
+        motion: relative velocity and spin, as seen from the moving parent [m/s, rad/s].
+        second: rates of the two [m/s2, rad/s2].
+    """
     (velocity, spin), (linear, angular) = motion, second
     swings = [sp.cross(spin, axis) for axis in sp.transpose(pose.rotation)]
     rates = (*[x for row in sp.transpose(tuple(swings)) for x in row], *velocity)

@@ -132,10 +132,16 @@ class Chain(eqx.Module):
 
 
 def chain(mechanism: Mechanism, base: str, tip: Marker, through: tuple[str, ...] = ()) -> Chain:
-    """The serial chain from a base ("ground" or a body) to a tip.
+    """The serial chain of connections from a base to a tip.
 
-    Several ways lead there where the mechanism closes a loop: `through` names connections until one
-    way is left. Raises `ValueError` with a sentence.
+    Args:
+        mechanism: which may close loops.
+        base: "ground" or name of a body.
+        tip: marker on the last body.
+        through: names of connections on the path, where several lead to the tip.
+
+    Raises:
+        ValueError: no path, or more than one, leads there.
     """
     tip = on_piece(mechanism.bodies, tip)
     _check(mechanism, base, tip, through)
@@ -337,9 +343,16 @@ def tip_error(
 ) -> TipError:
     """Exact and first-order error of the tip; pure, maps and differentiates.
 
-    Without `nominal`, against the same chain at the same motions without deviations. With it,
-    against another setting of a chain of the same connections: the first order is taken about the
-    nominal one, and differences in fixed dimensions count in the exact error only.
+    Without `nominal`, against the same chain at the same motions without deviations.
+
+    Args:
+        chain: as it is.
+        actual: motions and deviations of its joints.
+            nominal_chain: chain of the same connections whose fixed dimensions may differ, which
+            counts in
+            the exact error only; None: the same.
+            nominal: configuration about which the first order is taken; None: `actual` without
+            deviations.
     """
     start_chain = chain if nominal_chain is None else nominal_chain
     start = actual.ideal() if nominal is None else nominal

@@ -125,8 +125,13 @@ def _in_space(mechanism: Mechanism, loop: str) -> bool:
 
 
 def redundancy(mechanism: Mechanism, start: Start, time: Any) -> Redundancy | None:
-    """What is redundant in the loops of a mechanism with numbers; None where rows depend on each
-    other at this position only."""
+    """Which rows of the loops are redundant; None where rows depend at this position only.
+
+    Args:
+        mechanism: with numbers.
+        start: consistent coordinates, at which ranks are determined.
+        time: instant [s] of the drives.
+    """
     rows = eqx.filter_eval_shape(_rows, mechanism, start.coordinates, time)
     moving = [row for row in rows if not row.fixed]
     # What is in equilibrium with itself passes through all joints of its loop.

@@ -133,7 +133,15 @@ class Row(NamedTuple):
 
 
 def row_of_wrench(owner: str, closure: Closure, pose: Pose, wrench: Wrench, joint: str) -> Row:
-    """A wrench in a joint, on its child about its marker, in the parent marker's axes."""
+    """A wrench in a joint, as the force of an element.
+
+    Args:
+        owner: element that gives the wrench.
+        closure: markers of the joint.
+        pose: the child's marker in the parent's.
+        wrench: on the child about its marker, in the parent marker's axes [N, N m].
+        joint: connection between these markers.
+    """
     return Row(owner, Direction((OnClosure(closure, pose, wrench, joint),)), 1)
 
 

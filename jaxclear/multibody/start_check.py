@@ -34,8 +34,14 @@ NEARLY = 0.05
 
 
 def check_flat_bodies(mechanism: Mechanism, system: System, motions: tuple) -> None:
-    """A body whose inertia is known about z only must turn about z only; what does not turn is
-    known while tracing.
+    """Raises `ValueError` for a body with an inertia about z only that turns about other axes.
+
+    Which spins are structurally zero is known while tracing.
+
+    Args:
+        mechanism: with the inertias of its bodies.
+        system: with the frames of the links.
+        motions: motion of every link at the start.
     """
     for branch, link, motion in zip(system.topology.branches, system.links, motions, strict=True):
         if branch.motor:

@@ -100,7 +100,13 @@ class Block(NamedTuple):
 
 
 def ask(mechanism: Mechanism, concentric: bool, worn: dict | None = None) -> Ask:
-    """What is asked of a mechanism's start, with surfaces `worn` so deep [m] (None: new ones)."""
+    """The equations of a mechanism's start.
+
+    Args:
+        mechanism: with `start`, `speeds` and `guess`.
+        concentric: whether journals are put in the middle of their bearings.
+        worn: depth maps [m] by joint and surface; None: new surfaces.
+    """
     system = prepare(mechanism)
     # A measure only: the start is not to follow its changes.
     arm = jax.lax.stop_gradient(longest_arm(system))
@@ -135,7 +141,13 @@ def guess(mechanism: Mechanism, system: System | None = None) -> tuple[Array, Ar
 
 
 def retract(system: System, q: Array, step: Array) -> Array:
-    """Coordinates moved along speeds for unit time, quaternions renormalised."""
+    """Coordinates moved along speeds for unit time, quaternions renormalised.
+
+    Args:
+        system: prepared mechanism, as `prepare` returns it.
+        q: coordinates of the tree, shape (coordinates,) [rad, m; 1 for quaternions].
+        step: speeds times time, shape (speeds,) [rad, m].
+    """
     branch_q, branch_step = unpack_motion(system, [*unstacked(q), *unstacked(step)])
     each = zip(system.links, branch_q, branch_step, strict=True)
     moved = map_many(
@@ -146,7 +158,14 @@ def retract(system: System, q: Array, step: Array) -> Array:
 
 
 def motions_at(problem: Ask, q: Array, v: Array, time: Any) -> tuple[tuple, tuple, tuple]:
-    """Coordinates and speeds by branch, and the motions of all links."""
+    """Coordinates and speeds by branch, and the motions of all links.
+
+    Args:
+        problem: equations of the start (`ask`).
+        q: coordinates of the tree, shape (coordinates,) [rad, m; 1 for quaternions].
+        v: free speeds, shape (speeds,) [rad/s, m/s].
+        time: instant [s] at which drives are evaluated.
+    """
     branch_q, branch_v = unpack_motion(problem.system, [*unstacked(q), *unstacked(v)])
     return branch_q, branch_v, kinematics.link_motions(problem.system, branch_q, branch_v, time)
 
@@ -164,7 +183,13 @@ class Place(NamedTuple):
 
 
 def place_at(problem: Ask, q: Array, time: Any) -> Place:
-    """The mechanism at rest at coordinates of the tree."""
+    """The mechanism at rest at coordinates of the tree.
+
+    Args:
+        problem: equations of the start (`ask`).
+        q: coordinates of the tree, shape (coordinates,) [rad, m; 1 for quaternions].
+        time: instant [s] at which drives are evaluated.
+    """
     branch_q, _, motions = motions_at(
         problem, q, jnp.zeros(problem.system.topology.speed_count), time
     )
@@ -172,7 +197,13 @@ def place_at(problem: Ask, q: Array, time: Any) -> Place:
 
 
 def position_blocks(problem: Ask, q: Array, time: Any) -> list[Block]:
-    """What is left to change in the coordinates for all that is held, in order."""
+    """Equations in the coordinates for all that is held, in order of priority.
+
+    Args:
+        problem: equations of the start (`ask`).
+        q: coordinates at which residual and Jacobian are taken, shape (coordinates,).
+        time: instant [s] at which drives are evaluated.
+    """
     return blocks_at(problem, place_at(problem, q, time))
 
 
@@ -221,7 +252,14 @@ def _coordinate_blocks(problem: Ask, place: Place, kind: str) -> list[Block]:
 
 
 def speed_blocks(problem: Ask, q: Array, v: Array, time: Any) -> list[Block]:
-    """What is left to change in the speeds, in order."""
+    """Equations in the speeds for all that is held, in order of priority.
+
+    Args:
+        problem: equations of the start (`ask`).
+        q: coordinates of the tree, shape (coordinates,) [rad, m; 1 for quaternions].
+        v: free speeds at which the residual is taken, shape (speeds,).
+        time: instant [s] at which drives are evaluated.
+    """
     branch_q, branch_v, motions = motions_at(problem, q, v, time)
     blocks = [_closure_block(problem, motions, n, c, LOOP, True) for n, c in _loops(problem)]
     fast = problem.mechanism.start_arguments["speeds"]

@@ -167,8 +167,10 @@ def _numbers(what: str, result: Any, names: Any) -> None:
 
 
 def check_parts(bodies: dict, connections: dict, loads: dict, couplings: dict) -> None:
-    """Types must be what the slots expect, names refer to something, numbers be possible, and every
-    body be held.
+    """Raises `ValueError` for parts of a wrong type, unknown names or impossible numbers.
+
+    Args:
+        bodies, connections, loads, couplings: parts of the mechanism, each by name.
     """
     if not bodies:
         raise ValueError("a mechanism needs at least one body.")
@@ -333,8 +335,17 @@ def _check_acts(name: str, place: str, bodies: dict, connections: dict, values: 
 
 
 def one_coordinate(what: str, name: str, bodies: dict, connections: dict, else_: str = "") -> Any:
-    """The joint `name` as its coordinate is read. Raises `ValueError` where it has not exactly one:
-    `what` says who asks, `else_` what would be right."""
+    """The joint `name` as its single coordinate is read.
+
+    Args:
+        what: begins the message: who reads the coordinate.
+        name: connection, body or motor.
+        bodies, connections: parts of the mechanism, each by name.
+        else_: ends the message: what would be right.
+
+    Raises:
+        ValueError: there is no such joint, or it has not exactly one coordinate.
+    """
     try:
         joint = coordinate_joint(name, bodies, connections)
     except ValueError as error:
@@ -407,7 +418,12 @@ def check_finite(what: str, part: Any) -> None:
 
 
 def check_tree(topology: Topology, connections: dict, loads: dict) -> None:
-    """Drives and inertias of coordinates must fit the tree."""
+    """Raises `ValueError` for drives that close loops and inertias on coordinates outside the tree.
+
+    Args:
+        topology: with the tree that was grown.
+        connections, loads: parts of the mechanism, each by name.
+    """
     for name in topology.closing:
         if drive_of(connections[name].joint) is not None:
             raise ValueError(
@@ -430,8 +446,14 @@ def check_tree(topology: Topology, connections: dict, loads: dict) -> None:
 def check_start(
     topology: Topology, bodies: dict, connections: dict, places: dict, speeds: dict
 ) -> None:
-    """Starting coordinates (`places`: "start" and "guess" of a mechanism) and speeds must be given
-    for what has some, in the right number."""
+    """Raises `ValueError` for starting values of what has no coordinates, or in a wrong number.
+
+    Args:
+        topology: with the motors.
+        bodies, connections: parts of the mechanism, each by name.
+        places: coordinates under "start" and "guess", each by name.
+        speeds: by name.
+    """
     present = tuple(branch.name for branch in topology.branches if branch.motor)
     for what, place in places.items():
         for name, values in place.items():
@@ -475,7 +497,13 @@ ROUNDING = 1e-9
 
 
 def check_couplings(couplings: dict, topology: Topology, bodies: dict, connections: dict) -> None:
-    """Raises `ValueError` for a coupling of joints that there are not, or that do not fit."""
+    """Raises `ValueError` for a coupling of joints that there are not, or that do not fit.
+
+    Args:
+        couplings: by name.
+        topology: which joints the tree carries.
+        bodies, connections: parts of the mechanism, each by name.
+    """
     _warn_of_locks(couplings)
     for name, coupling in couplings.items():
         if name in connections and (name in topology.couplings or coupling.motor is None):

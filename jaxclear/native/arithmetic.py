@@ -123,7 +123,14 @@ _COMPARISONS = {
 
 
 def compare(writer: Writer, name: str, kind: str, x: Any, y: Any) -> Any:
-    """The truth value of a comparison, named as the primitive ("lt")."""
+    """The truth value of a comparison of two numbers.
+
+    Args:
+        writer: LLVM text under construction.
+        name: of JAX's primitive, such as "lt".
+        kind: of both numbers: `FLOAT`, `INT` or `TRUTH`.
+        x, y: register names or Python numbers; of two numbers the result is a Python bool.
+    """
     floats, wholes, numbers = _COMPARISONS[name]
     if is_num(x, y):
         return bool(numbers(x, y))
@@ -233,7 +240,17 @@ def _to_int(writer, x):
 
 
 def combine(writer: Writer, name: str, kind: str, x: Any, y: Any) -> Any:
-    """Sum, product, extremum, and, or of two numbers."""
+    """Two numbers combined as a reduction does.
+
+    Args:
+        writer: LLVM text under construction.
+        name: of the reduction: "sum", "prod", "max", "min", "and", "or".
+        kind: of both numbers: `FLOAT`, `INT` or `TRUTH`.
+        x, y: register names or Python numbers.
+
+    Raises:
+        Unsupported: there is no such reduction of this kind.
+    """
     if kind == FLOAT and name in ("sum", "prod"):
         if is_num(x, y):
             return x + y if name == "sum" else x * y

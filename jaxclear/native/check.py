@@ -66,13 +66,24 @@ Turn = Callable[[list], np.ndarray]
 
 
 def check(program: Program, kernel: Turn, reference: Turn, other: str = "JAX") -> None:
-    """One turn of a kernel on random numbers, compared with another evaluation of it, which is
-    called `other`. Raises `Unsupported` where they differ.
+    """Compares one turn of a kernel on random numbers with another evaluation of it.
 
     Where a difference of like numbers is exactly zero in one order of operations and rounding in
-    the other, a choice or a quotient that hangs on it differs wholly. That does not recur: one
-    draw may disagree where two tell and agree, and a fault shows in others too. States of either
-    sign may be none that the loop was written for: there one draw that agrees outweighs the others.
+    the
+    other, a choice or quotient that depends on it may differ. That does not recur: one draw may
+    disagree
+    where two agree conclusively; a fault shows in several. States with entries of either sign may
+    be
+    impossible for the loop: among these one draw that agrees outweighs the others.
+
+    Args:
+        program: the loop, its condition and body as JAX programs.
+        kernel: one turn by machine code: an array (samples, numbers) from a list of samples.
+        reference: the same by the other evaluation.
+        other: name of the other evaluation in the message.
+
+    Raises:
+        Unsupported: they differ.
     """
     looks: list[tuple[Judgement, bool]] = []
     for draw in DRAWS:
@@ -94,7 +105,13 @@ class Judgement(NamedTuple):
 
 
 def compared(program: Program, kernel: Turn, reference: Turn, draw: int) -> tuple[Judgement, bool]:
-    """The kernel on a draw's random numbers, beside the other evaluation."""
+    """The judgement of a kernel on one draw: by samples of usual size, and by all others.
+
+    Args:
+        program: the loop, its condition and body as JAX programs.
+        kernel, reference: one turn by machine code and by the other evaluation.
+        draw: number of the draw, which is its seed.
+    """
     constants, state = avals_of(program)
     samples = [_within_tables(program, sample) for sample in random_values(constants, state, draw)]
     results = kernel(samples)
@@ -178,7 +195,13 @@ def _size(aval: Any) -> int:
 
 
 def turn_by_kernel(program: Program, address: int, samples: list) -> np.ndarray:
-    """What a turn gives, by the kernel at an address, which takes but one."""
+    """Results of one turn of a compiled kernel, an array (samples, numbers).
+
+    Args:
+        program: the loop, its condition and body as JAX programs.
+        address: of the kernel's function in this process; it must take one turn only.
+        samples: for each the arrays of constants and state.
+    """
     is_long = in_memory(program)
     rows = [packed([v for v, k in zip(s, is_long, strict=True) if not k]) for s in samples]
     flat = np.ascontiguousarray(rows)
@@ -221,7 +244,12 @@ def _first_row(table: Table, row: Any, constants: list[np.ndarray]) -> Any:
 
 
 def random_values(constants: list, state: list, draw: int) -> list[list[np.ndarray]]:
-    """For each sample of a draw a value of each shape and type."""
+    """Random values for each sample of a draw, of every size in `SIZES`.
+
+    Args:
+        constants, state: shapes and types of the loop's inputs.
+        draw: number of the draw; those in `SIGNED` have entries of either sign.
+    """
     rng = np.random.default_rng(draw)
 
     def one(aval):
@@ -258,8 +286,14 @@ def nudged(sample: list[np.ndarray]) -> list[np.ndarray]:
 def judged(
     results: np.ndarray, expected: np.ndarray, changed: np.ndarray, first: np.ndarray
 ) -> Judgement:
-    """What a kernel found, beside what is wanted, as far as `changed` (for nudged numbers) lets one
-    tell. `first` is what the turn began with: a sum that cancels it rounds like it."""
+    """Whether results agree with the expected ones, and whether half of them are conclusive.
+
+    Args:
+        results: of the kernel, shape (samples, numbers).
+        expected: of the reference, same shape.
+        changed: of the reference for slightly changed inputs, which measures rounding.
+        first: values before the turn: a sum that cancels them rounds as they do.
+    """
     with np.errstate(all="ignore"):
         # Where numbers overflow, inf or nan is a matter of the order of operations.
         finite = np.isfinite(expected) & np.isfinite(changed)

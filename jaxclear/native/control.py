@@ -35,7 +35,15 @@ MOST_TURNS = 10_000
 
 
 def phi(writer: Writer, name: str, kind: str, values: tuple, blocks: tuple[str, str]) -> str:
-    """A register that is the first value when coming from the first block, else the second."""
+    """Line of code for a register that depends on the block from which control comes.
+
+    Args:
+        writer: LLVM text under construction.
+        name: of the register.
+        kind: of its numbers: `FLOAT`, `INT` or `TRUTH`.
+        values: its values when coming from the first and from the second block.
+        blocks: labels of the two blocks.
+    """
     (old, new), (before, last) = values, blocks
     return (
         f"  {name} = phi {writer.wide(kind)} [ {writer.text(old, kind)}, %{before} ], "
@@ -44,7 +52,13 @@ def phi(writer: Writer, name: str, kind: str, values: tuple, blocks: tuple[str, 
 
 
 def phi_of_turns(turn: str, following: str, blocks: tuple[str, str]) -> str:
-    """A count of turns: 0 when coming from the first block, else the following one."""
+    """Line of code for a counter of turns: 0 when coming from the first block, else `following`.
+
+    Args:
+        turn: register of the counter.
+        following: register with the counter plus one.
+        blocks: labels of the two blocks.
+    """
     return f"  {turn} = phi i64 [ 0, %{blocks[0]} ], [ {following}, %{blocks[1]} ]"
 
 
@@ -57,12 +71,21 @@ def loop(
     outermost: bool = False,
     together: bool = False,
 ) -> list:
-    """A while loop over arrays of registers and changing ones in memory: every sample stops by
-    itself, the loop ends with the last one; `together`: all take the same turns, which the state's
-    first number counts.
+    """Writes a while loop over arrays of registers, and of changing ones in memory.
 
-    The `outermost` one, and a time loop within it, looks at the flag that stops all kernels: the
-    unfinished becomes nan.
+    Every sample stops by itself; the loop ends with the last one.
+
+    Args:
+        writer: LLVM text under construction.
+        condition: function of the state that writes the test and returns its register.
+        body: function of the state that writes a turn and returns the new state.
+        carry: first state, arrays of registers or in memory.
+        kinds: of each array: `FLOAT`, `INT` or `TRUTH`.
+            outermost: whether it, and a time loop within it, reads the flag that stops all kernels;
+            then
+            what is unfinished becomes nan.
+            together: whether all samples take the same turns, which the first number of the state
+            counts.
     """
     # A turn may change them, so that as they were before the loop they can be read no more.
     rooms = carried_in_memory(writer, carry, kinds)

@@ -206,11 +206,15 @@ def frame(
     in_memory: Sequence[int],
     tables: Sequence[int] = (),
 ) -> str:
-    """LLVM code of the function that XLA enters and of the loop over samples, for a kernel `name`.
+    """LLVM code of the function that XLA enters, with the loop over samples, for a kernel.
 
-    `width`, `height`: floats of a packed row in and out; `in_memory`: numbers that each sample has
-    in each of the arrays that are read by index (0: it is the same for all); `tables`: in each of
-    those that are written, which stand behind them.
+    Args:
+        name: of the kernel.
+        lanes: samples that the kernel takes at once.
+        width, height: floats of a packed row in and out.
+            in_memory: numbers of each sample in each array that is read by index; 0: shared by all
+            samples.
+        tables: numbers of each sample in each array that is written, which follow those in memory.
     """
     loads, pointers = [], []
     read, in_memory = len(in_memory), [*in_memory, *tables]

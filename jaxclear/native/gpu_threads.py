@@ -114,9 +114,16 @@ def arrays_of(program: Program) -> Arrays:
 
 
 def text_of(program: Program, checked: bool = False, on_host: bool = False) -> str:
-    """LLVM code of a loop's kernel `@NAME(samples, in, out, arrays...)` for one thread; `checked`:
-    it takes one turn; `on_host`: for the processor, with the thread's number in front. Raises
-    `Unsupported`."""
+    """LLVM code of a loop's kernel `@NAME(samples, in, out, arrays...)` for one GPU thread.
+
+    Args:
+        program: the loop, its condition and body as JAX programs.
+        checked: whether it takes one turn only.
+        on_host: whether it is for the processor, with the thread's number as first argument.
+
+    Raises:
+        Unsupported: a primitive has no rule, or there are too many arrays.
+    """
     arrays = arrays_of(program)
     count = len(arrays.read) + len(arrays.written)
     if count > MOST_ARRAYS:

@@ -289,8 +289,13 @@ def _maybe_set(writer, equation, allowed, a, update, *indices):
 
 
 def gathered_places(equation: Any, shape: tuple[int, ...], indices: Any) -> np.ndarray | None:
-    """Row-major places in an array of what is gathered out of it; None where they are not
-    known."""
+    """Row-major places of gathered entries in an array; None where indices are not known.
+
+    Args:
+        equation: of JAX's primitive `gather`.
+        shape: of the array.
+        indices: start indices, an array of registers or numbers.
+    """
     p = equation.params
     numbers, sizes = p["dimension_numbers"], p["slice_sizes"]
     plain = not numbers.operand_batching_dims and "FILL" not in str(p["mode"])
@@ -356,9 +361,17 @@ def _scatter(writer, equation, a, indices, update):
 
 
 def places_of(writer, numbers, shape, indices, updated, clips):
-    """Where the entries of an update go in an array of this shape; `clips`: windows are moved
-    within it as a whole, what the update of a slice becomes where several arrays are updated at the
-    same place."""
+    """Index in an array of each entry of an update.
+
+    Args:
+        writer: LLVM text under construction.
+        numbers: dimension numbers of JAX's scatter.
+        shape: of the array.
+        indices: start indices, an array of registers or numbers.
+        updated: shape of the update.
+        clips: whether windows are moved into the array as a whole, as for the update of a slice;
+            otherwise entries outside are dropped.
+    """
     window = [i for i in range(len(shape)) if i not in numbers.inserted_window_dims]
     sizes = dict.fromkeys(range(len(shape)), 1)
     sizes |= {i: updated[d] for i, d in zip(window, numbers.update_window_dims, strict=True)}

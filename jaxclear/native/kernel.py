@@ -48,8 +48,13 @@ from jaxclear.native.writer import (
 
 
 def text_of(program: Program, lanes: int, checked: bool = False) -> str:
-    """The loop as LLVM code, function `NAME.loop(in, out, big)`, and what it calls; `checked`: it
-    takes one turn."""
+    """LLVM code of the loop, function `NAME.loop(in, out, big)`, and of what it calls.
+
+    Args:
+        program: the loop, its condition and body as JAX programs.
+        lanes: samples that it takes at once.
+        checked: whether it takes one turn only.
+    """
     writer = Writer(lanes, bool(program.length), checked)
     values = _arguments(writer, program)
     c, b = program.condition_constants, program.body_constants
@@ -224,8 +229,16 @@ def _register_kernel(number: int, name: str, engine: Any, key: str) -> Kernel:
 
 
 def restore_kernel(number: int, name: str, key: str) -> Kernel:
-    """A kernel of an earlier process, by the key under which it lies on disk. Raises
-    `FileNotFoundError` where it is not there."""
+    """A kernel of an earlier process, from the files in the cache.
+
+    Args:
+        number: by which programs call it.
+        name: in messages and profiles.
+        key: under which it is stored.
+
+    Raises:
+        FileNotFoundError: it is not in the cache.
+    """
     dispatch.register_with_xla()
     with _BUILDING:
         kernel = _KERNELS.get(number)
@@ -259,8 +272,13 @@ def keep(kernel: Kernel, module: Any) -> None:
 
 
 def over_numbers(head: str, count: str, lines: str) -> str:
-    """LLVM code of a function of this head that goes through so many numbers: what it does with the
-    one at `%k`."""
+    """LLVM code of a function that loops over numbers.
+
+    Args:
+        head: its name and parameters.
+        count: register or literal with the number of turns.
+        lines: code of a turn, which has the index in `%k`.
+    """
     return f"""define internal void @NAME.{head} {{
 entry:
   br label %more
@@ -389,7 +407,13 @@ class Tables:
 
 
 def handed_over(writer: Writer, program: Program, state: Sequence[Any]) -> list[Any]:
-    """The first state, its long arrays where the kernel leaves them: what it is given stays."""
+    """The first state, with long arrays copied to where the kernel returns them; its inputs stay.
+
+    Args:
+        writer: LLVM text under construction.
+        program: the loop, its condition and body as JAX programs.
+        state: arrays of registers, or in memory.
+    """
     out, ahead = list(state), sum(in_memory(program))
     for k, i in enumerate(sorted(program.long)):
         places = array_starts(writer, ahead + k)
@@ -416,13 +440,26 @@ def _stored(writer: Writer, position: int, array: Any, kind: str) -> int:
 
 
 def store(writer: Writer, position: int, value: Any, kind: str) -> None:
-    """A number of the packed row."""
+    """Writes a number into the packed row of results.
+
+    Args:
+        writer: LLVM text under construction.
+        position: of the number in the row.
+        value: register name or Python number.
+        kind: of the number: `FLOAT`, `INT` or `TRUTH`.
+    """
     place = writer.put(f"getelementptr double, ptr %out, i64 {position * writer.lanes}")
     writer.say(f"store {writer.wide(FLOAT)} {as_float(writer, value, kind)}, ptr {place}")
 
 
 def as_float(writer: Writer, value: Any, kind: str) -> str:
-    """A number of any kind as the float that stands for it in memory."""
+    """A number of any kind as the float that stands for it in memory.
+
+    Args:
+        writer: LLVM text under construction.
+        value: register name or Python number.
+        kind: of the number: `FLOAT`, `INT` or `TRUTH`.
+    """
     word = writer.text(value, kind)
     if kind == FLOAT:
         return word

@@ -36,8 +36,13 @@ LANES = 8
 def moving_state(
     program: Program, constants: Sequence[bool], state: Sequence[bool]
 ) -> tuple[bool, ...]:
-    """Which parts of the state ever move, where these of the body's constants and of the first
-    state do; behind them the same of the tables that its turns leave."""
+    """Which parts of the state ever have a tangent, followed by the same for the tables.
+
+    Args:
+        program: the loop, its condition and body as JAX programs.
+        constants: which constants of the body have a tangent.
+        state: which parts of the first state have one.
+    """
     now, out = _settled(program.body, constants, state)
     initial_moves = (t.start is not None and constants[t.start] for t in program.tables)
     rows = zip(out[len(now) :], initial_moves, strict=True)
@@ -102,9 +107,15 @@ def _moved_by(equation: Any, inputs: list[bool]) -> list[bool]:
 def tangent_program(
     program: Program, constants: Sequence[bool], results: Sequence[bool]
 ) -> Program:
-    """The loop with tangents: behind the body's constants stand the tangents of those that move,
-    behind the state those of its parts that move, and so behind a row; `results`: which parts of
-    state and row do."""
+    """The loop that carries tangents with the state.
+
+    Tangents follow the body's constants, the state and a row, for those parts that have one.
+
+    Args:
+        program: the loop, its condition and body as JAX programs.
+        constants: which constants of the body have a tangent.
+        results: which parts of state and row have one (`moving_state`).
+    """
     c, b = program.condition_constants, program.body_constants
     fixed, first = avals_of(program)
     fixed, n = fixed[c:], len(first)
@@ -162,9 +173,18 @@ def motion_in(program: Program) -> list[int]:
 def bundled(
     program: Program, values: Sequence[Any], dims: Sequence[int | None], rank: int
 ) -> tuple[Program, list[Any], list[int | None]] | None:
-    """Several tangents at once, where they are all that differs (None: other numbers do too): the
-    loop that takes them side by side, its values, and the axis of the tangents in each of its
-    results (None: it is the same for all)."""
+    """The loop that carries several tangents side by side, where these are all that differs.
+
+    Args:
+        program: the loop, its condition and body as JAX programs.
+        values: its inputs, one axis of which counts tangents.
+        dims: this axis in each of the inputs; None: it has none.
+        rank: number of batch axes that precede it.
+
+    Returns:
+        The loop, its inputs, and the axis of tangents in each result (None: the same for all); None
+        where other numbers than tangents differ.
+    """
     c, b = program.condition_constants, program.body_constants
     batched = [d is not None for d in dims]
     differing = {i for i, d in enumerate(batched[c:]) if d}
@@ -204,8 +224,15 @@ def side_by_side(wide: Program, samples: int) -> int:
 
 
 def by_portions(values: Sequence[Any], wide: Program, rank: int, size: int, run: Any) -> list[Any]:
-    """What the loop of all tangents gives, by one that takes `size` of them at once: `run(values,
-    program, rank)`."""
+    """Results of a loop with many tangents, computed by one that takes fewer at once.
+
+    Args:
+        values: inputs of the wide loop.
+        wide: loop of all tangents (`bundled`).
+        rank: number of batch axes that precede that of the tangents.
+        size: tangents at once.
+        run: function `run(values, program, rank)` that evaluates a loop.
+    """
     narrow = wide.narrow
     assert narrow is not None
     portions = -(-narrow.tangents // size)

@@ -22,10 +22,17 @@ def while_loop(
     single_turn: bool = False,
     vmapped: bool = False,
 ) -> Any:
-    """As `jax.lax.while_loop`, for a state of few numbers; forward-mode differentiable, maps over
-    batches. `long`: a prefix of the state, true where arrays may be long; such arrays stand in
-    memory, are read and changed by index, and as they were before that can be read no more.
-    `single_turn`: a loop of one turn; `vmapped`: as of `single_turn`.
+    """As `jax.lax.while_loop`, for a state of few numbers; forward-mode differentiable and batched.
+
+    Args:
+        condition, body: functions of the state; the body keeps its shapes and types.
+        first: initial state, a pytree of arrays.
+            long: prefix of the state, true where arrays may be long; these stand in memory and are
+            read and
+            changed by index; after a change the previous array can no longer be read.
+        single_turn: whether it is a function, a loop of one turn.
+            vmapped: whether XLA gets it as if this module had not been used, where it becomes no
+            kernel.
     """
     in_memory = _long_parts(long, first)
     first = jax.tree.map(jnp.asarray, first)
@@ -80,10 +87,16 @@ def scan(
     layouts: Sequence[TableLayout] = (),
     long: Any = False,
 ) -> tuple[Any, Any]:
-    """As `jax.lax.scan(turn, first, rows)`, for a state and rows of few numbers: all turns, and
-    loops within them, are one kernel that reads and leaves its rows itself. Forward-mode
-    differentiable, maps over batches. `layouts`: how each part of the tuple that a turn leaves is
-    kept (nothing: as of each turn in turn). `long`: as of `while_loop`.
+    """As `jax.lax.scan(turn, first, rows)`, for a state and rows of few numbers, as one kernel.
+
+    Loops within the turns are part of the kernel. Forward-mode differentiable, maps over batches.
+
+    Args:
+        turn: function of the state and a row; gives the new state and its outputs.
+        first: initial state, a pytree of arrays.
+        rows: pytree of arrays with a row for each turn along the first axis.
+        layouts: at which rows each part of the outputs is stored; empty: turn after turn.
+        long: as of `while_loop`.
     """
     length = len(jax.tree.leaves(rows)[0])
     tables = jax.tree.map(_in_memory, rows)

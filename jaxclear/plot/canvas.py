@@ -49,7 +49,13 @@ LEAST, LARGEST = 1e-3, 1e5
 
 
 def canvas(rows: int = 1, columns: int = 1, size: tuple[float, float] = (7.0, 4.5), **kwargs: Any):
-    """An empty figure of `size` [inch] and its axes."""
+    """An empty figure and its axes.
+
+    Args:
+        rows, columns: numbers of axes.
+        size: width and height [inch].
+        kwargs: of matplotlib's `subplots`.
+    """
     figure = Figure(figsize=size, layout="constrained")
     return figure, figure.subplots(rows, columns, **kwargs)
 
@@ -114,8 +120,19 @@ def panels(
     space: bool = False,
     **kwargs: Any,
 ) -> Panels:
-    """New panels of a figure of `size` [inch], or the `ax` that the user gave; `space`: in three
-    dimensions. Raises `ValueError` unless these are as many as the figure `what` has."""
+    """Panels of a new figure, or the axes that the user gave.
+
+    Args:
+        what: name of the figure in messages.
+        ax: axes of the user, one or several; None: a new figure.
+        rows, columns: numbers of axes.
+        size: width and height of a new figure [inch].
+        space: whether axes are three-dimensional.
+        kwargs: of matplotlib's `subplots`.
+
+    Raises:
+        ValueError: the axes are not as many as the figure has, or of the wrong projection.
+    """
     if ax is None:
         if space:
             kwargs["subplot_kw"] = {"projection": "3d", "computed_zorder": False}
@@ -139,7 +156,13 @@ def panels(
 
 
 def over_time(axis: Any, x: np.ndarray, y: np.ndarray, time: np.ndarray) -> LineCollection:
-    """A curve coloured by time [s]; the axis is widened to hold it."""
+    """A curve coloured by time; the axis is scaled to hold it.
+
+    Args:
+        axis: of matplotlib.
+        x, y: coordinates, shape (n,).
+        time: [s], shape (n,).
+    """
     points = np.stack([x, y], -1)
     lines = LineCollection(list(np.stack([points[:-1], points[1:]], 1)), cmap="viridis", lw=1.0)
     lines.set_array(time[:-1])
@@ -351,8 +374,13 @@ def places(axis: Any) -> None:
 
 
 def columns_of(labels: Sequence[str], space: float, size: float) -> int:
-    """In how many columns labels, of letters of `size` [pt], stand in a legend for which there is
-    `room` [pt]."""
+    """Number of columns of a legend.
+
+    Args:
+        labels: of the legend.
+        space: width of the legend [pt].
+        size: of letters [pt].
+    """
     longest = max((len(line) for label in labels for line in label.split("\n")), default=0)
     return max(1, min(len(labels), int(space / (LETTER * size * (longest + HANDLE))), MOST_COLUMNS))
 

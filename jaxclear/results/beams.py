@@ -20,7 +20,13 @@ def _beam(run: Any, name: str) -> Beam:
 def deflection(
     run: Any, name: str, relative_to: Literal["chord", "start"]
 ) -> Float[Array, "time place 3"]:
-    """See `Trajectory.deflection`."""
+    """See `Trajectory.deflection`.
+
+    Args:
+        run: trajectory of the mechanism.
+        name: of the beam.
+        relative_to: "chord" between its ends, or "start": the tangent at its first end.
+    """
     beam = _beam(run, name)
     check_name("line in relative_to", relative_to, LINES)
     ends = beam.ends()

@@ -48,8 +48,14 @@ REACTION = {
 
 
 def of_run(history: StateHistory, worn: dict, attributes: dict, flat: bool) -> Any:
-    """Body motion, contacts, reactions, wear maps and, if tracked, energies: as a tree by body,
-    joint and surface, or as one flat data set."""
+    """A run as an xarray DataTree by body, joint and surface, or as one flat data set.
+
+    Args:
+        history: states of the run, from which motion, contacts and reactions are computed.
+        worn: depth maps [m] at the end, by joint and surface.
+        attributes: of the whole.
+        flat: whether to return one Dataset with dotted names.
+    """
     import xarray
 
     nodes = _nodes(history, worn)
@@ -144,7 +150,14 @@ class _Solid(NamedTuple):
 
 
 def write_vtk(run: Any, folder: Any, frames: int, meshes: Any) -> Path:
-    """Writes the series into a folder, which is made; the path of its `run.pvd`."""
+    """Writes a run as a series of VTK files; returns the path of its `run.pvd`.
+
+    Args:
+        run: trajectory of the mechanism.
+        folder: created if it does not exist.
+        frames: number of saving times that are written, evenly chosen.
+        meshes: by body, instead of the solid that would be drawn.
+    """
     import meshio
 
     check_count("frames of to_vtk", frames)

@@ -155,7 +155,14 @@ class MarkerHistory(AbstractHistory):
 def marker(
     read: Callable[[str], Any], mechanism: Mechanism, body: str | Marker, at: Any
 ) -> MarkerHistory:
-    """A marker, or a point `at` [m] of a body whose motion is `read` by its name."""
+    """Motion of a marker, or of a point of a body, over the saving times.
+
+    Args:
+        read: function from a body's name to its motion.
+        mechanism: whose beams place the point on a piece.
+        body: name, or a marker.
+        at: point in the body's frame [m]; None for a marker.
+    """
     if isinstance(body, Marker) and at is not None:
         raise ValueError(f'a marker on "{body.body}" has its place; leave `at` out beside it.')
     where = on_piece(mechanism.bodies, body if isinstance(body, Marker) else Marker(body, at))
@@ -372,8 +379,13 @@ def reaction(history: StateHistory, name: str) -> ReactionHistory:
 
 
 def is_unique(history: StateHistory, name: str, what: str) -> bool:
-    """Whether overconstrained loops determine the reaction of a joint, or what a coupling
-    transmits; warns where they do not."""
+    """Whether overconstrained loops determine the reaction of a joint; warns where they do not.
+
+    Args:
+        history: of a mechanism whose redundancy is known.
+        name: joint or coupling.
+        what: begins the warning: what is read of it.
+    """
     mechanism = history.mechanism
     redundancy = mechanism.topology.redundancy
     if redundancy is None or name not in redundancy.joints:
@@ -513,7 +525,13 @@ def _energies(history):
 
 
 def worn_volume(history: StateHistory, joint: str, surface: str) -> Float[Array, " time"]:
-    """Volume lost by a surface of a joint over time [m3]; 0 where it does not wear."""
+    """Volume lost by a surface over time [m3]; 0 where it does not wear.
+
+    Args:
+        history: states of the run.
+        joint: name of the clearance joint.
+        surface: name of one of its surfaces, such as "bearing".
+    """
     slots = [s for s in history.layout().wear if (s.bearing, s.surface) == (joint, surface)]
     return sum((history.states[:, slot.start] for slot in slots), jnp.zeros_like(history.time))
 

@@ -38,8 +38,16 @@ COLUMNS = ["time [s]", "joint", "contact", "event"]
 
 
 def events(history: StateHistory, noted: Events | None, names: tuple[str, ...]) -> Any:
-    """The events of joints in the order of time. Raises `ValueError` for a run that kept none, or
-    an unknown joint; warns where some were not kept."""
+    """Touches and releases as a table, in the order of time; warns where some were not stored.
+
+    Args:
+        history: states of the run.
+        noted: events that the run stored; None: none.
+        names: joints; empty: all.
+
+    Raises:
+        ValueError: the run stored no events, or a joint is unknown.
+    """
     if noted is None:
         raise ValueError(
             "this run kept no touches and releases; simulate(..., save=Saving(events=10)) keeps 10 "
@@ -135,7 +143,13 @@ class Change(NamedTuple):
 
 
 def contact_path(history: StateHistory, name: str, noted: Events | None) -> tuple[Any, list[Spell]]:
-    """(largest indentation [m] of a joint over time, when it touches and when not)."""
+    """Largest indentation [m] of a joint as a function of time, and its spells of contact.
+
+    Args:
+        history: states of the run.
+        name: clearance joint.
+        noted: events that the run stored, which give exact times; None: interpolated.
+    """
     time = np.asarray(history.time)
     depths, rates = (np.asarray(each) for each in _indentations(history, name))
     if noted is None:
@@ -291,8 +305,16 @@ INSTANTS = {
 
 
 def phases(history: StateHistory, name: str, noted: Events | None = None) -> list[Phase]:
-    """The modes of a joint, one after the other, by the events that were `noted` where there are
-    any. Raises `ValueError` for another joint."""
+    """Phases of free flight, impact and contact of a joint, one after the other.
+
+    Args:
+        history: states of the run.
+        name: clearance joint.
+        noted: events that the run stored, which give exact times; None: interpolated.
+
+    Raises:
+        ValueError: the joint has no contacts.
+    """
     check_contact_joint(history, name)
     time = np.asarray(history.time)
     if history.formulation.forces_are_means:
@@ -313,7 +335,13 @@ def phases(history: StateHistory, name: str, noted: Events | None = None) -> lis
 
 
 def table(history: StateHistory, name: str, noted: Events | None = None) -> Any:
-    """The phases as a pandas table."""
+    """The phases of a joint as a pandas table.
+
+    Args:
+        history: states of the run.
+        name: clearance joint.
+        noted: events that the run stored; None: none.
+    """
     listed = phases(history, name, noted)
     rows = [(p.start, p.stop, p.mode.label, p.approach, p.source) for p in listed]
     labels = ["from [s]", "to [s]", "mode", "approach speed [m/s]", "start known by"]
@@ -321,7 +349,13 @@ def table(history: StateHistory, name: str, noted: Events | None = None) -> Any:
 
 
 def combined(history: StateHistory, names: tuple[str, ...], noted: Events | None = None) -> Any:
-    """The modes of several joints side by side, as a pandas table: a row whenever one changes."""
+    """The phases of several joints as a pandas table, with a row whenever one changes.
+
+    Args:
+        history: states of the run.
+        names: clearance joints.
+        noted: events that the run stored; None: none.
+    """
     by_joint = {name: phases(history, name, noted) for name in names}
     starts = np.unique([phase.start for each in by_joint.values() for phase in each])
     columns: dict[str, Any] = {

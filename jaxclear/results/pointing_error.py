@@ -98,11 +98,17 @@ def tip_errors(
     through: tuple[str, ...],
     nominal: Trajectory | None = None,
 ) -> tuple[Chain, ChainConfiguration, TipError]:
-    """The chain, how its joints stand, and the error of its tip, over the saving times (first
-    axis).
+    """The chain, its configuration, and the error of its tip, over the saving times (first axis).
 
-    `nominal=None`: against ideal joints at the coordinates that the run itself shows; else against
-    another run.
+    Args:
+        trajectory: run whose tip is read.
+        tip: marker on the last body.
+        base: "ground" or a body, from which the tip is seen.
+        through: names of connections on the path from base to tip.
+        nominal: run to compare with; None: ideal joints at the coordinates of the run itself.
+
+    Raises:
+        ValueError: the two runs have other chains or saving times.
     """
     ours = chain(trajectory.mechanism, base, tip, through)
     actual = configurations(trajectory, ours)

@@ -88,7 +88,12 @@ def rod(radius: float, length: float) -> Triangles:
 
 
 def tube(inner: float, outer: float, length: float) -> Triangles:
-    """A hollow cylinder along z about the origin."""
+    """A hollow cylinder along z about the origin.
+
+    Args:
+        inner, outer: radii [m].
+        length: along z [m].
+    """
     half = 0.5 * length
     return _revolve(np.array([[inner, -half], [outer, -half], [outer, half], [inner, half]]))
 
@@ -107,7 +112,12 @@ def capsule(radius: float, length: float) -> Triangles:
 
 
 def between(start: np.ndarray, end: np.ndarray, radius: float) -> Triangles:
-    """A cylinder from one place to another."""
+    """A cylinder from one point to another.
+
+    Args:
+        start, end: centres of its faces [m].
+        radius: [m].
+    """
     axis = np.asarray(end) - start
     length = float(np.linalg.norm(axis))
     return rod(radius, length).moved(_along(axis / length), 0.5 * (np.asarray(start) + end))
@@ -122,7 +132,13 @@ def _along(direction: np.ndarray) -> np.ndarray:
 
 
 def of_body(body: Body, joints: np.ndarray, size: float) -> Triangles:
-    """A body of a mechanism of this `size` [m], whose joints are in these places (n, 3) [m]."""
+    """A solid for a body: a block by its inertia, with rods to its joints.
+
+    Args:
+        body: with mass, centre of mass and inertia.
+        joints: positions of its joints [m], shape (n, 3).
+        size: of the mechanism [m], by which rods are drawn.
+    """
     com = np.zeros(3)
     if body.com is not None:
         com[: len(body.com)] = [float(x) for x in body.com]
@@ -196,7 +212,13 @@ def moves_in_plane(run: Any) -> bool:
 
 
 def parts(run: Any, meshes: Mapping[str, Triangles], size: float) -> dict[str, Part]:
-    """What every body, and the ground, is drawn by."""
+    """Solids by which the ground and every body are drawn, by name.
+
+    Args:
+        run: trajectory; joints that slide are drawn as long as they travel.
+        meshes: by body, instead of the solid that would be drawn.
+        size: of the mechanism [m].
+    """
     ends: dict[str, list[np.ndarray]] = {name: [] for name in (GROUND, *run.mechanism.bodies)}
     joints: dict[str, dict[str, Triangles]] = {name: {} for name in ends}
     hinges = parts_of_beams(run.mechanism.loads)
@@ -362,8 +384,13 @@ SHAPES: dict[str, tuple[Callable, int]] = {
 
 
 def wall(wear_map: Any, surface: str, depth: np.ndarray) -> Wall | None:
-    """The worn wall of a surface; None of one whose shape is not known. `depth` (around, along)
-    [m]."""
+    """The worn wall of a surface; None where its shape is unknown.
+
+    Args:
+        wear_map: cells of the surface.
+        surface: its name, such as "bearing".
+        depth: worn depth [m] of each cell, shape (around, along).
+    """
     if wear_map.flat:
         return _flat(wear_map, 1 if surface == "guide" else -1, depth)
     if surface not in SHAPES:

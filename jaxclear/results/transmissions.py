@@ -139,9 +139,17 @@ def _sent(history: StateHistory, name: str) -> Float[Array, " time"]:
 
 
 def sent_at(history: StateHistory, now: Instant, names: tuple[str, ...]) -> tuple[Array, ...]:
-    """What each of these couplings transmits at an instant [N m, N]: of a row its multiplier; of
-    one with play or stiffness that on its first coordinate; of a motor that turns with a joint what
-    it gives this."""
+    """Torque or force that couplings transmit at an instant [N m, N].
+
+    It is the multiplier of a rigid coupling, the force on the first coordinate of a flexible one,
+    and for
+    a motor that turns with a joint what it gives that joint.
+
+    Args:
+        history: states of the run.
+        now: instant at which they are read.
+        names: couplings, in the order of the result.
+    """
     pressed = functools.cache(lambda: _pressed(history, now))
     solution = functools.cache(lambda: solved(history, now))
     rows = functools.cache(lambda: _by_row(now, solution()[2]))

@@ -120,7 +120,13 @@ def friction_law(friction: Any) -> AbstractFrictionLaw | None:
 
 
 def bearing(kind: str, clearance: Any, rub: AbstractFrictionLaw | None) -> Any:
-    """A joint of the antenna: "spatial" (FSRJ) or "planar" (FPRJ) with clearance, or "ideal"."""
+    """A joint of the antenna.
+
+    Args:
+        kind: "spatial" (FSRJ) or "planar" (FPRJ) with clearance, or "ideal".
+        clearance: radial [m].
+        rub: friction law; None: frictionless.
+    """
     check_name("kind", kind, KINDS, " of antenna")
     if kind == "ideal":
         return Revolute()

@@ -250,8 +250,13 @@ def servos(path: JointPath) -> dict[str, Servo]:
 
 
 def reducer(name: str, play: Any = None, wear: Any = None) -> Gear:
-    """The reducer of a joint with its motor, elastic and with a `play` [rad], from flank to flank,
-    whose flanks lose by a law of `wear`, or rigid and without (None)."""
+    """The reducer of a joint with its motor: rigid, or elastic with play.
+
+    Args:
+        name: of the joint.
+        play: from flank to flank [rad]; None: rigid and without play.
+        wear: wear law of the flanks; None: no wear.
+    """
     size = REDUCERS[name]
     motor = Motor(size.rotor)
     if play is None:

@@ -62,7 +62,15 @@ def bearing(
     wear: bool = True,
     cells: tuple[int, int] | None = None,
 ) -> Any:
-    """The joint between coupler and follower: "spatial" or "planar" clearance, or "ideal"."""
+    """The joint between coupler and follower.
+
+    Args:
+        kind: "spatial" or "planar" clearance, or "ideal".
+        clearance: radial [m].
+        friction: whether it rubs.
+        wear: whether the bearing wears.
+        cells: of the wear map, around and along; None: by kind.
+    """
     if kind == "ideal":
         return Revolute()
     contact = LankaraniNikravesh(stiffness=HertzStiffness(steel(), steel()), restitution=0.9)

@@ -83,9 +83,13 @@ def friction_law(friction: Any) -> AbstractFrictionLaw | None:
 def slider_joint(
     kind: str, clearance: Any, friction: AbstractFrictionLaw | None, middle: Any
 ) -> Any:
-    """The joint of slider and guide: "guide" with a gap of `clearance` [m] on each side, "wearing"
-    as this with both parts wearing, or "ideal"; `middle` of the guide [m] along it from where the
-    slider starts.
+    """The joint of slider and guide.
+
+    Args:
+        kind: "guide" with a gap, "wearing" with a gap and both parts wearing, or "ideal".
+        clearance: gap on each side [m].
+        friction: law of the contacts; None: frictionless.
+        middle: of the guide, along it from where the slider starts [m].
     """
     check_name("kind", kind, KINDS, " of guide")
     if kind == "ideal":

@@ -67,7 +67,15 @@ def socket(
     cells: tuple = (12, 12),
     worn_radius: bool = False,
 ) -> BallSocket:
-    """A ball joint of the paper with a radial clearance [m]."""
+    """A ball joint of the paper with clearance.
+
+    Args:
+        clearance: radial [m].
+        friction: whether it rubs.
+        wear: whether the socket wears.
+        cells: of the wear map, in azimuth and elevation.
+        worn_radius: whether contact laws use the worn radius.
+    """
     steel = Material(210e9, 0.3)
     rub = Ambrosio(mu_kinetic=MU, inner_speed=INNER_SPEED, outer_speed=OUTER_SPEED)
     law = Archard(wear_coefficient=WEAR_COEFFICIENT, hardness=HARDNESS)

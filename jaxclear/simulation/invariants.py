@@ -136,8 +136,13 @@ def look(history: StateHistory, model: Model) -> Looks:
 
 
 def judged(trajectory: Trajectory, model: Model, initial: Worn) -> Trajectory:
-    """The run with its checks; `initial`: worn surfaces at its start. It ends where a look calls
-    for it."""
+    """The run with its checks; it ends early where one of them calls for it.
+
+    Args:
+        trajectory: whose saved states are looked at.
+        model: of the run.
+        initial: depth maps [m] at its start.
+    """
     history = trajectory.history
     looks, ends = look(history, model), jnp.asarray(history.time)[1:]
     figures, of_run, verdict = _of_saved_states(looks)
@@ -370,11 +375,16 @@ def openings(now: Instant) -> Float[Array, " loops"]:
 
 
 def wear_by_cells(model: Model, initial: Worn, ended: Worn) -> Figures:
-    """By how much the deepest place of each contact's surface is less deep over three cells to a
-    side, beside its depth; 0 of a surface that has lost nothing since the run began. A scar hardly
-    wider than a cell hangs on their number: a mean over three to a side is nine times as far off as
-    that over one where a scar is smooth, and what it makes of the deepest place tells how wide that
-    is."""
+    """How narrow each worn scar is in cells, by contact (`narrowness`).
+
+    It is 0 for a surface that has lost nothing since the run began. Depths of a scar hardly wider
+    than a
+    cell depend on the number of cells.
+
+    Args:
+        model: of the run.
+        initial, ended: depth maps [m] at its start and end, by joint and surface.
+    """
     if not ended or not model.layout.wear:
         return {}
     initial, ended = jax.lax.stop_gradient((initial, ended))
@@ -392,7 +402,16 @@ def wear_by_cells(model: Model, initial: Worn, ended: Worn) -> Figures:
 def narrowness(
     wear_map: AbstractWearMap, depth: Float[Array, "around along"], least: Array | float = 0.0
 ) -> Array:
-    """By how much the deepest place is less deep over three cells to a side, beside its depth, or
-    beside the `least` [m] that counts."""
+    """Relative difference between the deepest cell and the deepest mean over 3 x 3 cells [1].
+
+    A mean over three cells is nine times as far off as that over one where a scar is smooth, so
+    this
+    tells how many cells a scar is wide.
+
+    Args:
+        wear_map: cells of the surface.
+        depth: worn depth of each cell [m].
+        least: smallest depth [m] beside which the difference counts.
+    """
     deepest = jnp.max(depth)
     return safe_divide(deepest - jnp.max(wear_map.over_three(depth)), jnp.maximum(deepest, least))

@@ -142,8 +142,13 @@ def _sampled(functions: dict[str, Any], times: np.ndarray) -> dict[str, tuple]:
 
 
 def step_ends(times: np.ndarray, step: float | None, fixed: int | None = None) -> np.ndarray | None:
-    """Ends [s] of steps no longer than `step` [s] between saving times, or of the `fixed` number;
-    None where they are more than anybody looks at."""
+    """Ends of the steps of a run [s]; None where they are too many to look at.
+
+    Args:
+        times: saving times of the run [s].
+        step: longest step [s]; None: no bound.
+        fixed: number of steps between saving times; None: decided by `step`.
+    """
     intervals = np.diff(times)
     counts = np.maximum(np.ceil(intervals / (step or np.inf) * (1 - SLIVER)), fixed or 1)
     if np.sum(counts) * IN_A_STEP > MOST:
@@ -178,8 +183,15 @@ def judged_by(missed: dict[str, float], run: Trajectory) -> Trajectory:
 
 
 def load_steps(mechanism: Mechanism, integrator: AbstractIntegrator, times: Any) -> LoadSteps:
-    """How a run that is saved at these times [s], the first of which it begins at, sees what its
-    loads and drives do. Nothing is said of numbers that are being traced."""
+    """Whether the steps of a run resolve its functions of time.
+
+    Nothing is said of numbers that are being traced.
+
+    Args:
+        mechanism: with loads and drives that are functions of time.
+        integrator: that chooses the steps.
+        times: saving times [s]; the run begins at the first.
+    """
     return _looked_at(functions_of_time(mechanism), integrator, times)
 
 

@@ -154,9 +154,19 @@ def run(
     past: Past = Past(),
     updates: Any = 1,
 ) -> Trajectory:
-    """The pure core of `simulate`: from consistent coordinates and speeds, and what is left of a
-    past, to a trajectory. `updates`: of worn surfaces so many times as many as usual, where steps
-    are not counted."""
+    """The pure core of `simulate`: from consistent coordinates and speeds to a trajectory.
+
+    Args:
+        mechanism: as its formulation models it.
+        coordinates: of the tree at the start, shape (coordinates,).
+        speeds: free speeds at the start, shape (speeds,).
+        times: saving times [s]; the run begins at the first.
+        integrator: with its formulation.
+        extras: what the run does beside the motion: energies, progress, events.
+        past: worn surfaces and memories of an earlier run.
+            updates: updates of worn surfaces as a multiple of the usual number, where steps are not
+            counted.
+    """
     formulation, integrator = integrator.formulation, with_few_enough_steps(integrator, times)
     inputs = mechanism, coordinates, speeds, times, integrator
     mechanism, turn, first = first_turn(*inputs, extras, past)
@@ -180,7 +190,13 @@ def run(
 
 
 def largest_of(mechanism: Mechanism, model: Model, last: Carry) -> Extremes | None:
-    """The largest indentations and forces of a run that ends so."""
+    """Largest indentations and forces over a run; None where none were followed.
+
+    Args:
+        mechanism: names its contacts.
+        model: of the run.
+        last: what the loop carried at its end.
+    """
     if last.peaks is None and last.transmitted is None:
         return None
     sent = {"transmitted": last.transmitted, "couplings": transmitting(model.system)}
@@ -201,8 +217,15 @@ def first_turn(
     extras: Extras = Extras(),
     past: Past = Past(),
 ) -> "tuple[Mechanism, Turn, Carry]":
-    """(the mechanism as the steps take it, the turn of its run, and what that is handed first),
-    from consistent coordinates and speeds at the first of the times [s]; arguments as of `run`."""
+    """The mechanism as the steps take it, the turn of the loop, and what it carries first.
+
+    Args:
+        mechanism: as its formulation models it.
+        coordinates: of the tree at the start, shape (coordinates,).
+        speeds: free speeds at the start, shape (speeds,).
+        times: saving times [s]; the run begins at the first.
+        integrator, extras, past: as of `run`.
+    """
     formulation = integrator.formulation
     mechanism = stabilised_as_needed(mechanism, integrator.opens_loops)
     if loads_to_settle(mechanism) and not formulation.forces_are_means:
@@ -234,8 +257,16 @@ def first_turn(
 def sketched(
     mechanism: Mechanism, formulation: AbstractFormulation, times: Any, events: int
 ) -> Trajectory:
-    """A run of the form that `run` gives, in which nothing moves: for what is to be known of runs
-    before one is compiled."""
+    """A run of the form that `run` returns, in which nothing moves.
+
+    It tells shapes and names of runs before one is compiled.
+
+    Args:
+        mechanism: as its formulation models it.
+        formulation: of the run.
+        times: saving times [s].
+        events: number of events stored for each contact between two saving times.
+    """
     model, count = model_of(mechanism, formulation), len(times)
     worn, contacts = unworn(model.system), contact_names(model)
     read = readings(model.system, worn)
@@ -350,7 +381,13 @@ class Turn:
         return Interval(span.start, span.stop, weights, running, last)
 
     def worn_as(self, now: Carry, worn: Worn, read: Worn) -> Carry:
-        """What is handed on with surfaces as worn now."""
+        """What the loop carries, with new depth maps, and shafts moved along with their flanks.
+
+        Args:
+            now: what it carried before.
+            worn: depth maps [m] by joint and surface.
+            read: the same in the form in which gaps read them.
+        """
         model = self.model
         state = between_worn_flanks(model.system, model.layout, (now.read, read), now.state)
         return now._replace(state=state, worn=worn, read=read)

@@ -17,9 +17,17 @@ Part = Callable[[float], AbstractContextManager[None]]
 
 @contextmanager
 def bar(visible: bool, label: str, total: float = 1.0) -> Iterator[Part]:
-    """Shows a bar from 0 to 100 % while the block runs; nested or hidden bars do nothing. `total`:
-    the work that is known of, beside that of one run. Gives what says, `with part(work):`, that
-    what runs within is so much of it."""
+    """Shows a progress bar while the block runs; nested or hidden bars do nothing.
+
+    Args:
+        visible: whether it is shown.
+        label: text in front of the bar.
+        total: known work, in units of one run.
+
+    Yields:
+            A function of an amount of work; in the block `with part(work):` a run advances by that
+        much.
+    """
     if not visible or _bars:
         yield lambda work: nullcontext()
         return

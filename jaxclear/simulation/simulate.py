@@ -159,9 +159,13 @@ def _check_end(trajectory: Trajectory) -> None:
 
 
 def is_all_kernel(mechanism: Mechanism, integrator: AbstractIntegrator, loud: bool = False) -> bool:
-    """Whether next to all work of a run is that of its kernels, if it has any and does not report
-    its progress (`loud`): then XLA need not optimise the rest, of however many cells worn
-    surfaces are."""
+    """Whether nearly all work of a run is in its kernels, so that XLA need not optimise the rest.
+
+    Args:
+        mechanism: few coordinates suit.
+        integrator: whether its steps are in kernels.
+        loud: whether the run reports its progress, which leaves the kernels.
+    """
     # A motor has an equation of its own, whatever the others do.
     branches = (branch for branch in mechanism.topology.branches if not branch.motor)
     small = sum(branch.coordinate_count for branch in branches) <= FEW_COORDINATES
@@ -390,8 +394,17 @@ def chosen_for(
     compare: Callable[[Trajectory, Any, Any], dict[str, float]],
     how: How,
 ) -> Chosen:
-    """The integrator that keeps an accuracy at the least work, from runs; what is compared of
-    these, and how far two are apart beside what is allowed, as in `errors.choice.Question`."""
+    """The integrator that keeps an accuracy at the least work, chosen by runs.
+
+    Args:
+        mechanism: of the run.
+        duration: of the run [s].
+        observe: function from a run to what is compared of it.
+            compare: function of a run and two observations: how far these are apart, as multiples
+            of what
+            is allowed, by name.
+        how: settings of `simulate`.
+    """
     question = _question(mechanism, duration, how, observe, compare)
     rungs = rungs_of(mechanism, question.times, lambda integrator: check_run(mechanism, integrator))
     return choose_setting(rungs, repeated(mechanism, duration, how), question)
@@ -410,8 +423,13 @@ def _question(mechanism: Any, duration: Any, how: How, observe: Any, compare: An
 
 
 def repeated(mechanism: Mechanism, duration: float, how: How) -> Again:
-    """The same run by any integrator, over any share of the duration, without replicas; however it
-    ends."""
+    """A function that repeats a run with any integrator over a share of its duration.
+
+    Args:
+        mechanism: of the run.
+        duration: of the whole run [s].
+        how: settings of `simulate`; the repetition is not verified and shows no progress.
+    """
     saving = as_saving(how.save)
     times = np.asarray(saving_times(duration, saving.at))
 

@@ -80,9 +80,17 @@ class Rounded(eqx.Module):
     level: dict[str, tuple[bool, ...]] = eqx.field(static=True)
 
     def gaps(self, name: str, joint: AbstractClearance, depths: tuple) -> list:
-        r"""The gaps [m] of a joint, those that are level in the middle as :math:`g - g^2 / 2 g_0`:
-        :math:`(c^2 - e^2) / 2c` for a round bore, which is smooth in its middle too, 0 at the wall
-        with the same slope."""
+        r"""The gaps [m] of a joint; those level in the middle as :math:`g - g^2 / 2 g_0`.
+
+        That is :math:`(c^2 - e^2) / 2c` for a round bore: smooth in the middle, 0 at the wall with
+        the
+        same slope.
+
+        Args:
+            name: of the joint.
+            joint: geometry of the clearance.
+            depths: indentation of each possible contact [m].
+        """
         middles = _at_the_middle(joint)
         out: list[Any] = []
         for level, depth, middle in zip(self.level[name], depths, middles, strict=True):
@@ -127,7 +135,14 @@ class Case(NamedTuple):
 
 
 def case_of(scene: Posed, side: Any, angles: dict[str, Any], how: Rounded) -> Case:
-    """The mechanism of a scene ready for what follows."""
+    """The prepared mechanism of a scene with the side of its loads.
+
+    Args:
+        scene: mechanism with positions of its drives.
+        side: 1, or -1 for reversed loads.
+        angles: [rad] near which coordinates outside the tree are read, by joint.
+        how: which gaps are rounded in the middle.
+    """
     return Case(prepare(scene.mechanism), side, angles, how)
 
 
@@ -159,8 +174,15 @@ def restraints(case: Case, q: Array) -> tuple[Array, Array]:
 
 
 def terms(case: Case, measures: Measures, q: Array, closing: Array, pushing: Array) -> Terms:
-    """What is to be 0 at coordinates, under multipliers of loops and normal forces without
-    units."""
+    """Dimensionless residuals of the equilibrium: balance of forces, loops, gaps.
+
+    Args:
+        case: mechanism and side of its loads.
+        measures: scales of speeds, loops, energy and lengths.
+        q: coordinates of the tree, shape (coordinates,).
+        closing: multipliers of the loops, dimensionless.
+        pushing: normal forces at the gaps, dimensionless.
+    """
 
     def at_step(step):
         loops, gaps = restraints(case, retract(case.system, q, measures.speeds * step))
@@ -215,8 +237,16 @@ def angles_near(case: Case, q: Array) -> dict[str, Any]:
 
 
 def resting(case: Case, q: Array, multipliers: Array, pushes: Array) -> Resting:
-    """The mechanism where it rests, with the reaction of every joint: on its child about its
-    marker, in the axes of the parent's marker."""
+    """The mechanism at rest, with the reaction of every joint.
+
+    Reactions are on the joint's child about its marker, in the parent marker's axes.
+
+    Args:
+        case: mechanism and side of its loads.
+        q: coordinates of the tree at rest, shape (coordinates,).
+        multipliers: of the loops [N, N m].
+        pushes: normal force [N] at each gap, joint after joint.
+    """
     places, rates, motions = _motions(case.system, q)
     system, forces = acting(case.system, motions, places, rates, case.side, case.angles)
     contacts, first = list[Row](), 0

@@ -95,7 +95,13 @@ class ByEnergy(eqx.Module):
         return _settled(scene, start, self)
 
     def each(self, scene: Posed, position: Array, starts: Rest) -> Rest:
-        """Where it rests at positions (positions, drives), each from its own start; pure."""
+        """Rest at several positions, each from its own start; pure.
+
+        Args:
+            scene: the mechanism.
+            position: of the drives, shape (positions, drives).
+            starts: with a first axis of positions.
+        """
         if is_traced((scene, position, starts)) or is_tracing():
             one = lambda p, start: settle(scene.at(p), start, self, near=True)
             return _split_before(jax.vmap(one)(position, starts), starts)
@@ -108,7 +114,13 @@ class ByEnergy(eqx.Module):
         return _split_before(jax.tree.map(lambda *p: jnp.stack(p), *rest), starts)
 
     def read(self, scene: Posed, position: Array, spots: Rest) -> Read:
-        """What is read of the mechanism at positions (positions, drives) and where it rests."""
+        """Coordinates, seats and soundness of solutions at several positions.
+
+        Args:
+            scene: the mechanism.
+            position: of the drives, shape (positions, drives).
+            spots: solutions (`each`).
+        """
         offsets = lambda place, spot: equilibrium.offsets(
             _case(scene.at(place), spot, self), spot.q
         )
@@ -155,9 +167,15 @@ class Search(NamedTuple):
 
 
 def settle(scene: Posed, start: Rest, method: ByEnergy, near: bool = False) -> Rest:
-    """Where the mechanism rests, sought from a start; pure, with the derivatives of the solved
-    equations with respect to the numbers of the scene. `near`: the start is where a mechanism of
-    nearly the same numbers rests, so that the same contacts may carry."""
+    """Where the mechanism rests; pure, with derivatives by the scene's numbers (implicit ones).
+
+    Args:
+        scene: mechanism at one position of its drives.
+        start: at which the search begins.
+        method: settings of the search.
+        near: whether a mechanism of nearly the same numbers rests at the start, so that the same
+            contacts may carry.
+    """
     arrays, rest = eqx.partition(scene, eqx.is_inexact_array)
 
     @jax.custom_jvp
@@ -223,7 +241,15 @@ def _case(scene: Posed, start: Rest, method: ByEnergy) -> Case:
 
 
 def linear(case: Case, measures: Measures, q: Array, closing: Array, pushing: Array) -> Linear:
-    """The equations at coordinates with their derivatives."""
+    """Residuals of the equilibrium with their derivatives by the coordinates.
+
+    Args:
+        case: mechanism and side of its loads.
+        measures: scales of speeds, loops, energy and lengths.
+        q: coordinates of the tree, shape (coordinates,).
+        closing: multipliers of the loops, dimensionless.
+        pushing: normal forces at the gaps, dimensionless.
+    """
 
     def at_step(step):
         there = retract(case.system, q, measures.speeds * step)

@@ -70,11 +70,19 @@ class Sought(NamedTuple):
 
 
 def sought(mechanism: Mechanism, drives: tuple[str, ...], position: np.ndarray) -> Sought:
-    """Where a mechanism stands with these joints held, at each position (positions, joints).
+    """Where a mechanism stands at each position of its drives, and by which method.
 
-    By its loops where they determine it, with every journal where its own reaction presses it; else
-    by its energy. Raises `ValueError` with a sentence for what cannot be asked, and for the first
-    position that it does not reach.
+    By its loops where they determine it, with every journal where its own reaction presses it;
+    otherwise
+    by its energy.
+
+    Args:
+        mechanism: under its loads.
+        drives: joints and motors that are held.
+        position: their positions, shape (positions, drives) [rad, m].
+
+    Raises:
+        ValueError: for what has no equilibrium, and for the first position that is not reached.
     """
     scene, method = _by_loops(mechanism, drives, position[0])
     if method is not None:
@@ -254,8 +262,17 @@ def _refuse_jump(scene: Posed, now: np.ndarray) -> NoReturn:
 
 
 def spots_along(scene: Posed, position: np.ndarray, method: Any, start: Any = None) -> Any:
-    """Where the mechanism stands at each position, gone through in their order, from a start
-    (None: as it is assembled). Raises `ValueError` for the first that it does not reach."""
+    """Solutions at each position, one after the other.
+
+    Args:
+        scene: the mechanism.
+        position: of the drives, shape (positions, drives).
+        method: by loops or by energy.
+        start: of the search at the first position; None: as the mechanism is assembled.
+
+    Raises:
+        ValueError: for the first position that is not reached.
+    """
     spot, sound = (start, True) if start is not None else _first_spot(scene.at(position[0]), method)
     spots, before = [], position[0]
     for i, now in enumerate(position):
@@ -298,7 +315,16 @@ def _refuse(scene: Posed, method: Any, spot: Any, i: int, now: np.ndarray) -> No
 def positions_at(
     scene: Posed, position: Float[Array, "positions drives"], starts: Any, method: Any
 ) -> Positions:
-    """The mechanism at positions of its drives, each from its own start; pure."""
+    """The mechanism at positions of its drives, each from its own start; pure.
+
+    A sample that falls to another mode of assembly than its start's counts as not solved.
+
+    Args:
+        scene: the mechanism.
+        position: of the drives.
+        starts: with a first axis of positions.
+        method: by loops or by energy.
+    """
     spots = method.each(scene, position, starts)
     read = method.read(scene, position, spots)
     finite = jnp.all(jnp.isfinite(spots.q), axis=-1)
@@ -367,8 +393,19 @@ def positions(
 def both(
     scene: Posed, places: Array, starts: Any, method: Any, reverse_loads: bool, others: Any = None
 ) -> Positions:
-    """The positions, with those under reversed loads where these are wanted, from `others` (None:
-    the same starts)."""
+    """The positions, with those under reversed loads where these are wanted.
+
+    Args:
+        scene: the mechanism.
+        places: positions of the drives, shape (positions, drives).
+        starts: with a first axis of positions.
+        method: by loops or by energy.
+        reverse_loads: whether the second are computed.
+        others: their starts; None: the same.
+
+    Raises:
+        ValueError: no load of the mechanism reverses.
+    """
     result = positions_at(scene, places, starts, method)
     if not reverse_loads:
         return result

@@ -266,8 +266,13 @@ CLOSING = 4
 
 
 def resting(mechanism: Mechanism, pressed: dict[str, Pressed], worn: dict) -> Array | None:
-    """Coordinates at which the journals rest under these reactions; None where none were found.
-    `worn`: readings of worn surfaces, by joint."""
+    """Coordinates at which journals rest under given reactions; None where they are not reached.
+
+    Args:
+        mechanism: with clearance joints.
+        pressed: reaction of each of them.
+        worn: depth maps as gaps read them, by joint and surface.
+    """
     assembled, start = ready(mechanism)[:2]
     problem = ask(assembled, False)
     arm = float(problem.arm)

@@ -226,7 +226,12 @@ def half_turn(square: Any) -> tuple[Any, Any]:
 
 
 def lag(square: Any, cosine: Any, sine: Any) -> Any:
-    """(a - sin a) / a^3 from the squared angle and what `half_turn` makes of it."""
+    """(a - sin a) / a^3 of an angle a, by its series where a is small.
+
+    Args:
+        square: a^2 [rad^2].
+        cosine, sine: cos(a/2), and sin(a/2) / a, as `half_turn` returns them.
+    """
     return jnp.where(
         square <= SERIES_SQUARE,
         _series(square, 3),

@@ -50,9 +50,14 @@ def hiding(
     joints: Sequence[tuple[str, str]],
     eye: np.ndarray,
 ) -> set[str]:
-    """Names of the parts whose solid hides one of the `joints` (name, body whose part of it is
-    looked at) from the `eye` [m] at some frame; `moves` (frames, 4, 4), of the ground (1, 4, 4),
-    bring parts into place."""
+    """Names of the parts whose solid hides one of the joints from the eye at some frame.
+
+    Args:
+        parts: solids by body.
+        moves: pose of each body, shape (frames, 4, 4); of the ground (1, 4, 4).
+        joints: (joint, body whose part of it is looked at).
+        eye: position of the camera [m].
+    """
     names: set[str] = set()
     frames = max(len(target) for target in moves.values())
     for frame in np.linspace(0, frames - 1, min(SIGHTS, frames)).astype(int):

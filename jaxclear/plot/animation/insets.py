@@ -56,7 +56,14 @@ def arrow() -> Triangles:
 
 
 def pushes(run: Trajectory, frames: np.ndarray, last: int, size: float) -> Pushes:
-    """The arrows of a run over the saving times `frames`, in a mechanism of this size [m]."""
+    """The arrows of contact forces over the frames of an animation.
+
+    Args:
+        run: trajectory.
+        frames: indices of the saving times that are shown.
+        last: number of saving times over which the largest force is taken.
+        size: of the mechanism [m], by which arrows are scaled.
+    """
     placed, names = [], []
     joints = run.formulation.contact_joints(run.mechanism)
     histories = {name: run.contact(name) for name in joints}
@@ -128,8 +135,14 @@ class Worn(NamedTuple):
 
 
 def inset(run: Trajectory, name: str, frames: np.ndarray, last: int) -> dict[str, Any]:
-    """Everything that the inset of a joint shows, over the saving times `frames`; the chart over
-    the first `last`."""
+    """Data that the inset of a joint shows.
+
+    Args:
+        run: trajectory.
+        name: clearance joint.
+        frames: indices of the saving times that are shown.
+        last: number of saving times over which the force is charted.
+    """
     history = run.contact(name)
     joint = run.mechanism.connections[name].joint
     joint = getattr(joint, "gap", joint)

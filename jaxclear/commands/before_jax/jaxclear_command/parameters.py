@@ -62,12 +62,23 @@ class Read(click.ParamType):
         self.name, self.function = name, function
 
     def convert(self, value: Any, param: Any, ctx: Any) -> Any:
-        """The value; what is no text was made by this function before."""
+        """The value of an argument, from its text; other values are returned unchanged.
+
+        Args:
+            value: text of the command line, or a default.
+            param, ctx: click's, not needed.
+        """
         return self.function(value) if isinstance(value, str) else value
 
 
 def number(least: float, unit: str, above: bool = False) -> Read:
-    """Finite numbers [unit] that are at least `least`, or above it."""
+    """A kind of argument: a finite number with a lower bound.
+
+    Args:
+        least: lower bound.
+        unit: of the number, in messages.
+        above: whether the bound itself is excluded.
+    """
     required = f"a number {'above' if above else 'of at least'} {least:g} {unit}".rstrip()
 
     def read(text: str) -> float:
@@ -159,7 +170,15 @@ store, readable_file = Read("folder", _store), Read("file", _readable_file)
 
 
 def flag(name: str, text: str, kind: Read, default: Any = None, note: str = "") -> click.Option:
-    """An argument by name, with its text for --help; `note`: the default in words."""
+    """An option of a command.
+
+    Args:
+        name: such as "--duration".
+        text: for --help.
+        kind: what it accepts.
+        default: its value where it is not given.
+        note: the default in words, for --help.
+    """
     return click.Option(
         [name], type=kind, default=default, help=text, show_default=note or default is not None
     )
