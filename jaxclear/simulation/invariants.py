@@ -135,13 +135,17 @@ def look(history: StateHistory, model: Model) -> Looks:
     return Looks(intervals, *constant((history, model)))
 
 
-def judged(trajectory: Trajectory, model: Model, initial: Worn) -> Trajectory:
-    """The run with its checks; `initial`: worn surfaces at its start. It ends where a look calls
-    for it."""
+def judged(
+    trajectory: Trajectory, model: Model, initial: Worn, residual: Any = None
+) -> Trajectory:
+    """The run with its checks; `initial`: worn surfaces at its start, `residual`: that of the laws
+    for which steps solve. It ends where a look calls for it."""
     history = trajectory.history
     looks, ends = look(history, model), jnp.asarray(history.time)[1:]
     figures, of_run, verdict = _of_saved_states(looks)
     of_run |= wear_by_cells(model, initial, trajectory.worn)
+    if residual is not None:
+        of_run[Check.LAW_RESIDUAL] = jnp.atleast_1d(residual)
     if trajectory.extremes is not None and trajectory.extremes.contacts:
         depths = trajectory.extremes.indentation[: model.layout.joint_contacts]
         of_run[Check.INDENTATION] = depths / contact_radii(model.system) if depths.size else depths
