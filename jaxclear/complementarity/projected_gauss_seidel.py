@@ -170,7 +170,7 @@ def _sweep_until(
         r, residual, nearer, damping, sweeps = carry
         r, residual = apply_if(~nearer, swept, (r, residual))
         if eliminates:
-            moved, left = _damped_newton(problem, r, residual, damping, in_kernel)
+            moved, left = _damped_newton_step(problem, r, residual, damping, in_kernel)
             nearer = left < residual
             worse = jnp.maximum(STEP_OF_DAMPING * damping, residual)
             damping = jnp.clip(jnp.where(nearer, damping / STEP_OF_DAMPING, worse), REGULAR, 1.0)
@@ -190,7 +190,7 @@ def _sweep_until(
     return reactions, residual, sweeps
 
 
-def _damped_newton(
+def _damped_newton_step(
     problem: Scaled, r: tuple, residual: Array, damping: Any, in_kernel: bool
 ) -> tuple[tuple, Array]:
     """(reactions, residual) behind a damped step of Newton's method for all contacts in the states
