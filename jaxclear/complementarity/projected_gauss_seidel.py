@@ -8,8 +8,9 @@ Levenberg and Marquardt do: redundant contacts leave its matrix singular, and a 
 beside another nearly so. It is halved until it misses the laws by less. Sources: Jourdan, Alart &
 Jean 1998, Comput. Methods Appl. Mech. Eng. 155, 31, doi:10.1016/S0045-7825(97)00137-0 (sweeps);
 Alart & Curnier 1991, doi:10.1016/0045-7825(91)90022-X (Newton); Nocedal & Wright 2006, Numerical
-Optimization, section 10.3, doi:10.1007/978-0-387-40065-5 (damping). Plain operations on small arrays only, a
-row at a time, so that a time loop with these iterations stays one kernel of machine code.
+Optimization, section 10.3, doi:10.1007/978-0-387-40065-5 (damping). Plain
+operations on small arrays only, a row at a time, so that a time loop with these iterations stays
+one kernel of machine code.
 """
 
 from typing import Any, NamedTuple

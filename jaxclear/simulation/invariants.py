@@ -135,9 +135,7 @@ def look(history: StateHistory, model: Model) -> Looks:
     return Looks(intervals, *constant((history, model)))
 
 
-def judged(
-    trajectory: Trajectory, model: Model, initial: Worn, residual: Any = None
-) -> Trajectory:
+def judged(trajectory: Trajectory, model: Model, initial: Worn, residual: Any = None) -> Trajectory:
     """The run with its checks; it ends early where one of them calls for it.
 
     Args:
