@@ -52,7 +52,7 @@ def test_elementary_functions_become_part_of_a_kernel():
         f"define double @loop(double %x) {{\n{call}\n}}"
     )
     module = llvm.parse_assembly(text)
-    object_code.optimise(module, object_code._target())
+    object_code.optimise(module, object_code._target_machine())
     lines = str(module.get_function("loop")).splitlines()
     assert sum("fadd" in line for line in lines) == 1
     assert not any("call" in line for line in lines)
