@@ -215,7 +215,7 @@ def beam_of(bodies: dict[str, Any], name: str) -> str:
     return body.beam if isinstance(body, Piece) else name
 
 
-def wholes(bodies: dict[str, Any]) -> list[str]:
+def whole_bodies(bodies: dict[str, Any]) -> list[str]:
     """The names of bodies, of which beams are one each."""
     return [name for name in bodies if beam_of(bodies, name) == name]
 

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxclear.components.surface import AbstractSurface
-from jaxclear.errors.observables import named
+from jaxclear.errors.observables import label_of
 from jaxclear.ground.argument_errors import Renamed
 from jaxclear.ground.numerics import safe_divide
 from jaxclear.ground.quantity import is_traced
@@ -60,7 +60,7 @@ class StandardAnswer(NamedTuple):
     @property
     def name(self) -> str:
         """The answer with its place."""
-        return named(self.answer, self.place)
+        return label_of(self.answer, self.place)
 
     @property
     def beyond(self) -> bool:

@@ -22,7 +22,7 @@ class Pull(NamedTuple):
     dissipated: Any
 
 
-def bounded(spring: Any, damper: Any) -> Any:
+def bounded_damper(spring: Any, damper: Any) -> Any:
     """The force of a damper beside a spring that pushes one way, no larger than the spring's: the
     sum begins at 0 where the spring does, and never pulls.
 
@@ -45,11 +45,11 @@ def one_sided(stretch: Any, rate: Any, stiffness: Any, damping: Any) -> Pull:
     stored = 0.5 * spring * beyond
     if damping is None:
         return Pull(spring, stored, 0)
-    damper = bounded(spring, damping * rate)
+    damper = bounded_damper(spring, damping * rate)
     return Pull(spring + damper, stored, damper * rate)
 
 
-def freewheel(twist: Any, rate: Any, stiffness: Any, damping: Any) -> tuple[Pull, Any]:
+def freewheel_pull(twist: Any, rate: Any, stiffness: Any, damping: Any) -> tuple[Pull, Any]:
     r"""Pull of a freewheel, a spring and damper whose end slips backwards, and its rate of twist.
 
     With the twist :math:`\theta` of the spring, :math:`F = k\theta + d\dot\theta \ge 0`, the end
@@ -81,7 +81,7 @@ class Helix(NamedTuple):
     normal: Any
 
 
-def helix(lead: Any, diameter: Any, flank_angle: Any) -> Helix:
+def helix_of_thread(lead: Any, diameter: Any, flank_angle: Any) -> Helix:
     r"""The helix of a thread: its slope, radius and normal force.
 
     With :math:`\tan\lambda = l / (\pi d)` the normal force of a flank that pushes F along the axis

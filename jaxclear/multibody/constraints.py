@@ -279,7 +279,7 @@ def closing_rows(
     return rows
 
 
-def by_closure(
+def multipliers_by_closure(
     system: System, motions: tuple[Motion, ...], multipliers: tuple
 ) -> Iterator[tuple[Closure, dict[int, Any]]]:
     """Each closure with the multipliers of its moving rows, by row index.

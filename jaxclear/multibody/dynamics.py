@@ -188,7 +188,7 @@ def with_closures(system: System, forces: Forces, solution: Solution) -> Forces:
         forces: all that acts but the closures.
         solution: with the multipliers at these forces.
     """
-    every = list(constraints.by_closure(system, forces.motions, solution.multipliers))
+    every = list(constraints.multipliers_by_closure(system, forces.motions, solution.multipliers))
     meshes = [
         (transmission.closure, forces.pressing[name].torque / transmission.scale)
         for name, transmission in system.transmissions.items()

@@ -263,7 +263,7 @@ def pressing_of(
             states = followed.states.get(name)
             end = transmissions.end_at_start(train, twist) if states is None else states[0]
         calls.append((transmissions.compliance_of(train), twist, end, followed.shares.get(name)))
-    result = map_grouped(transmissions.pressing, calls)
+    result = map_grouped(transmissions.press_flanks, calls)
     return dict(zip(system.transmissions, result, strict=True))
 
 

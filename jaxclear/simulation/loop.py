@@ -45,7 +45,7 @@ from jaxclear.simulation import progress
 from jaxclear.simulation.error_weights import error_weights
 from jaxclear.simulation.initial_state import Past
 from jaxclear.simulation.invariants import contact_labels, contact_names, is_too_deep, judged
-from jaxclear.simulation.sampling import next_instant, sampled, sampled_loads
+from jaxclear.simulation.sampling import next_instant, sample_loads, sampled_loads
 from jaxclear.simulation.saving import with_few_enough_steps
 from jaxclear.simulation.wear import (
     Losses,
@@ -184,13 +184,13 @@ def run(
     stats, noted = RunStats(*last.steps, verdict(last.outcome)), saved.noted
     if noted is not None:
         noted = noted._replace(counts=noted.counts * (times[:-1] <= last.ended)[:, None])
-    extremes = largest_of(mechanism, model, last)
+    extremes = extremes_of(mechanism, model, last)
     ends = history, last.worn, last.outcome, last.ended, stats
     residual = integrator.law_residual(model, last.warm_start)
     return judged(Trajectory(*ends, extremes=extremes, noted=noted), model, worn, residual)
 
 
-def largest_of(mechanism: Mechanism, model: Model, last: Carry) -> Extremes | None:
+def extremes_of(mechanism: Mechanism, model: Model, last: Carry) -> Extremes | None:
     """Largest indentations and forces over a run; None where none were followed.
 
     Args:
@@ -400,7 +400,7 @@ class Turn:
         model, layout = self.model, self.model.layout
         running = (now.outcome == Outcome.REACHED).astype(bool)
         ahead = self._interval_ahead(span, running, now.peaks)
-        start = sampled(model, span.start, now.state)
+        start = sample_loads(model, span.start, now.state)
         result = self.advance(self.arrays, now.read, ahead, start, now.warm_start)
         moving = result.state[: layout.memory_start]
         sound = jnp.all(jnp.isfinite(result.state)) & jnp.all(abs(moving) < BOUNDLESS)

@@ -29,9 +29,9 @@ from jaxclear.files.forms import (
     Place,
     Text,
 )
-from jaxclear.files.parts import Part, arguments, members
+from jaxclear.files.parts import Part, arguments, final_classes
 from jaxclear.files.scene import RUN, TOP, scene_text
-from jaxclear.files.text import parsed
+from jaxclear.files.text import parse_values
 from jaxclear.studies.position_problem import PositionExperiment
 from jaxclear.studies.store.digest import difference, in_texts
 
@@ -165,7 +165,7 @@ def classes_of_package(families):
     """Classes that other test files define count as read by a file, too, but are no part of it."""
     return {
         name: kind
-        for name, kind in members(families).items()
+        for name, kind in final_classes(families).items()
         if kind.__module__.startswith("jaxclear.")
     }
 
@@ -278,7 +278,7 @@ def of_class(kind, depth=0):
 
 
 def as_node(values):
-    return parsed(json.dumps(values), ".json")
+    return parse_values(json.dumps(values), ".json")
 
 
 def assert_same(one, other):
@@ -315,7 +315,9 @@ def test_every_family_has_members():
         jc.distribution.AbstractDistribution,
         jc.response.AbstractResponse,
     ):
-        own = {n for n, k in members((family,)).items() if k.__module__.startswith("jaxclear")}
+        own = {
+            n for n, k in final_classes((family,)).items() if k.__module__.startswith("jaxclear")
+        }
         assert own and own <= {*REACHABLE}, family
 
 
@@ -330,8 +332,8 @@ def test_a_users_class_hides_none_of_the_package_and_its_last_definition_counts(
         return Spring
 
     kinds = [define(), define()]
-    assert members((Family,))["Spring"] is kinds[1]
-    assert members((Family, jc.load.AbstractLoad))["Spring"] is jc.load.Spring
+    assert final_classes((Family,))["Spring"] is kinds[1]
+    assert final_classes((Family, jc.load.AbstractLoad))["Spring"] is jc.load.Spring
 
 
 def test_every_argument_of_every_class_has_a_file_form():

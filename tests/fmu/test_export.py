@@ -222,7 +222,7 @@ def test_a_machine_without_a_compiler_is_told_what_to_install(monkeypatch, tmp_p
     monkeypatch.setattr(link.shutil, "which", lambda name: None)
     monkeypatch.setattr(link.importlib.util, "find_spec", lambda name: None)
     with pytest.raises(ImportError, match=r"jaxclear\[fmu\]"):
-        link.compiler(link.this_machine())
+        link.find_compiler(link.this_machine())
 
 
 def test_fmpy_finds_nothing_wrong(exported):

@@ -6,7 +6,15 @@ import threading
 import pytest
 
 from jaxclear.ground import cache_folder
-from jaxclear.ground.cache_folder import KERNEL, PROGRAM, key_of, list_files, place, read, write
+from jaxclear.ground.cache_folder import (
+    KERNEL,
+    PROGRAM,
+    folder_path,
+    key_of,
+    list_files,
+    read,
+    write,
+)
 
 KEY = key_of("a", "program")
 
@@ -138,8 +146,8 @@ def test_what_a_killed_process_was_writing_goes(folder):
 def test_it_can_be_switched_off(off, monkeypatch):
     monkeypatch.setenv(cache_folder.VARIABLE, off)
     write(KERNEL, KEY, b"one")
-    assert place() is None and read(KERNEL, KEY) is None and list_files() == []
-    assert cache_folder.of_jax() is None
+    assert folder_path() is None and read(KERNEL, KEY) is None and list_files() == []
+    assert cache_folder.jax_folder() is None
 
 
 @pytest.mark.skipif(os.name == "nt", reason="the folders of other systems")
@@ -147,13 +155,13 @@ def test_it_lies_in_the_users_cache_folder(tmp_path, monkeypatch):
     monkeypatch.delenv(cache_folder.VARIABLE)
     monkeypatch.setattr("sys.platform", "linux")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    assert place() == tmp_path / "jaxclear" / "programs"
+    assert folder_path() == tmp_path / "jaxclear" / "programs"
     monkeypatch.setenv("HOME", str(tmp_path / "home"))
     for given in ("", "relative"):
         monkeypatch.setenv("XDG_CACHE_HOME", given)
-        assert place() == tmp_path / "home" / ".cache" / "jaxclear" / "programs"
+        assert folder_path() == tmp_path / "home" / ".cache" / "jaxclear" / "programs"
     monkeypatch.setattr("sys.platform", "darwin")
-    assert place() == tmp_path / "home" / "Library" / "Caches" / "jaxclear" / "programs"
+    assert folder_path() == tmp_path / "home" / "Library" / "Caches" / "jaxclear" / "programs"
 
 
 def test_a_full_disk_costs_no_run(folder, monkeypatch):

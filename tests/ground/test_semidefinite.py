@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from jaxclear.ground.factorisation import (
+    dense_array,
     factor,
     factor_of_rank,
     is_written_out,
-    placed,
     solve,
     solve_least,
 )
@@ -97,7 +97,7 @@ def test_constants_of_a_wide_array_are_no_operations():
 
     def rows(x):
         entries = {(i, i): float(i % 3 - 1) for i in range(50)}
-        return placed(entries | {(i, i + 5): x[i] for i in range(4)}, (50, 60))
+        return dense_array(entries | {(i, i + 5): x[i] for i in range(4)}, (50, 60))
 
     x = np.array([2.0, 3.0, 5.0, 7.0])
     wanted = np.zeros((50, 60))

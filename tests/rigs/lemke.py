@@ -13,15 +13,15 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxclear.complementarity.interior_point import Scaled, scaled
+from jaxclear.complementarity.interior_point import Scaled, scale_problem
 from jaxclear.complementarity.problem import (
     AbstractLinearProblem,
     AbstractSolver,
     Outcome,
     Solution,
+    as_linear_problem,
     natural_residual,
-    posed,
-    size_of,
+    residual_size,
 )
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.quantity import count
@@ -44,7 +44,9 @@ def scaled_residual(problem: Scaled, z: Float[Array, " n"]) -> Float[Array, ""]:
     infinite where z is not finite.
     """
     w = problem.matrix @ z + problem.offset
-    return jnp.where(jnp.all(jnp.isfinite(z + w)), natural_residual(z, w) / size_of(z), jnp.inf)
+    return jnp.where(
+        jnp.all(jnp.isfinite(z + w)), natural_residual(z, w) / residual_size(z), jnp.inf
+    )
 
 
 class Tableau(NamedTuple):
@@ -75,8 +77,8 @@ class Lemke(AbstractSolver):
 
     def solve(self, problem: AbstractLinearProblem) -> Solution:
         check_double_precision()
-        lcp = posed(problem)
-        small = scaled(lcp)
+        lcp = as_linear_problem(problem)
+        small = scale_problem(lcp)
         z, active, outcome, pivots = jax.lax.stop_gradient(self._pivot(small))
         outcome = jnp.where(small.finite, outcome, Outcome.NOT_FINITE)
         kept = jnp.where(jnp.isfinite(z) & small.finite, z * small.z_scale, 0.0)
