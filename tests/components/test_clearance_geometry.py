@@ -1,6 +1,5 @@
 """Where parts touch, against brute force: real cylinders, rims and corners, discretised and
-compared point by point.
-"""
+compared point by point."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -20,8 +19,7 @@ AROUND = np.linspace(0, 2 * np.pi, 20001)
 
 def tilted(tilt, direction):
     """Axis (third column) and a perpendicular pair of a journal tilted by an angle towards a
-    direction.
-    """
+    direction."""
     axis = np.array(
         [np.sin(tilt) * np.cos(direction), np.sin(tilt) * np.sin(direction), np.cos(tilt)]
     )
