@@ -157,16 +157,6 @@ def test_liu_meets_its_formula_and_bai_zhao_is_its_slope():
         )
 
 
-def test_theories_of_line_contact_agree_among_themselves():
-    """Johnson and Radzimovsky within ten per cent where both hold; the scatter that the overview of
-    Pereira et al. reports."""
-    depths = np.logspace(-8, -5, 7)
-    first, second = (
-        jax.vmap(build(law).elastic_force)(depths) for law in (contact.Johnson, contact.Radzimovsky)
-    )
-    np.testing.assert_allclose(first, second, rtol=0.1)
-
-
 def test_a_law_remembers_the_impact_speed_only_when_it_damps():
     assert not fitted(contact.Johnson(), shape()).remembers_impact_speed
     assert fitted(contact.Johnson(restitution=0.9), shape()).remembers_impact_speed

@@ -124,16 +124,6 @@ def test_batches_of_batches():
     )
 
 
-def test_derivatives_are_those_of_jax():
-    fast, plain = turns(lambda x: jnp.sin(x) * 1.2, 4)
-    x, along = jnp.array([0.3, 0.7]), jnp.array([1.0, -2.0])
-    for one, other in zip(
-        jax.jvp(fast, (x,), (along,)), jax.jvp(plain, (x,), (along,)), strict=True
-    ):
-        np.testing.assert_allclose(one, other, rtol=ROUNDING)
-    np.testing.assert_allclose(jax.jacfwd(jax.jit(fast))(x), jax.jacfwd(plain)(x), rtol=ROUNDING)
-
-
 def test_numbers_from_outside_the_loop_can_vary_without_compiling_again():
     traces = []
 
@@ -182,12 +172,6 @@ def test_arithmetic_on_long_arrays_is_left_to_jax(step):
     assert np.isclose(
         jax.jit(by(while_loop))(0.3, table), by(jax.lax.while_loop)(0.3, table), rtol=ROUNDING
     )
-
-
-def test_long_arrays_may_be_part_of_the_state():
-    fast, plain = turns(lambda x: jnp.roll(x, 1) * 0.9, 3)
-    x = jnp.linspace(0.0, 1.0, 100)
-    np.testing.assert_allclose(jax.jit(fast)(x), plain(x), rtol=ROUNDING)
 
 
 def test_a_kernel_that_cannot_be_written_costs_a_warning_not_the_run(monkeypatch):
