@@ -187,7 +187,7 @@ def test_without_friction_it_is_the_lcp_of_the_normals():
     matrix, offset, mu = random_contacts(rng, 3)
     r, _, _, _ = solve_all([(matrix, offset, 0 * mu)], 3)[0]
     assert not np.any(r[:, 1:])
-    assert np.abs(np.minimum(r[:, 0], matrix[::3, ::3] @ r[:, 0] + offset[::3])).max() <= 1e-13
+    assert np.abs(np.minimum(r[:, 0], matrix[::3, ::3] @ r[:, 0] + offset[::3])).max() <= 1e-12
 
 
 @settings(max_examples=4, deadline=None)
@@ -408,3 +408,45 @@ def test_an_open_contact_without_friction_is_solved(dimension):
 def test_solvers_take_problems():
     with pytest.raises(ValueError, match="a solver is given a ndarray; it takes a problem"):
         InteriorPoint().solve(np.eye(2))
+
+
+# A shaft in a bearing at two ends, with a collar: masses [kg] and inertias [kg m^2] of three bodies
+# in a row, half lengths, radii and arms [m].
+MASSES, INERTIAS = (100.0, 4.0, 8.0), (12.0, 0.05, 0.3)
+HALF, RADIUS, COLLAR, ARM = 0.025, 0.01, 0.014, 0.5
+BEARING = (3, 3, 1)
+
+
+def bearings(rng):
+    """W, b, mu of two spatial bearings in a row, each with two ends that rub and a collar: seven
+    forces act in each on six freedoms, and reactions are not unique."""
+    rows, coordinates = [], 6 * len(MASSES)
+    for joint, axis in enumerate((2, 0)):
+        a, b, c = np.roll(np.eye(3), -axis - 1, axis=0)[[0, 1, 2]]
+        for sign in (1.0, -1.0, None):
+            turn = rng.uniform(0, 2 * np.pi)
+            out = np.cos(turn) * a + np.sin(turn) * b
+            if sign is None:
+                place, forces = COLLAR * out + HALF * c, [c]
+            else:
+                place, forces = RADIUS * out + sign * HALF * c, [-out, c, np.cross(c, out)]
+            for force in forces:
+                row = np.zeros(coordinates)
+                for body, side in ((joint, -1.0), (joint + 1, 1.0)):
+                    arm = place + side * ARM * np.eye(3)[2]
+                    row[6 * body : 6 * body + 6] = side * np.append(force, np.cross(arm, force))
+                rows.append(row)
+    inverse = 1 / np.repeat(np.stack([MASSES, INERTIAS], 1).ravel(), 3)
+    jacobian, speeds = np.array(rows), 1e-2 * rng.normal(size=coordinates)
+    return jacobian * inverse @ jacobian.T, jacobian @ speeds, np.repeat([0.1], 6)
+
+
+@pytest.mark.slow
+def test_bearings_whose_reactions_are_not_unique_are_solved():
+    """Where an undamped Newton's method finds nothing in 6 of 128 and sweeps hardly move."""
+    rng = np.random.default_rng(0)
+    problems = [bearings(rng) for _ in range(128)]
+    solve = lambda *one: ProjectedGaussSeidel().solve(FrictionContact(*one, directions=BEARING * 2))
+    data = [jnp.asarray(np.stack(part)) for part in zip(*problems, strict=True)]
+    found = eqx.filter_jit(jax.vmap(solve))(*data)
+    assert np.all(found.outcome == Outcome.SOLVED) and np.max(found.iterations) < 100

@@ -19,6 +19,7 @@ from jaxclear.native import (
     dispatch,
     kernel,
     loop,
+    object_code,
     while_loop,
     with_fast_loops,
     writer,
@@ -37,6 +38,22 @@ def turns(step, count):
         return lambda x: make(lambda s: s[0] < count, lambda s: (s[0] + 1, step(s[1])), (0, x))[1]
 
     return by(while_loop), by(jax.lax.while_loop)
+
+
+def test_elementary_functions_become_part_of_a_kernel():
+    """No call of them is left, and nothing that is not used."""
+    llvm = pytest.importorskip("llvmlite.binding")
+    call = "  %s = call double @jc.twice(double %x)\n  %t = fadd double %s, %s\n  ret double %s"
+    text = (
+        "define internal double @jc.twice(double %x) nounwind willreturn memory(none) {\n"
+        "  %y = fadd double %x, %x\n  ret double %y\n}\n"
+        f"define double @loop(double %x) {{\n{call}\n}}"
+    )
+    module = llvm.parse_assembly(text)
+    object_code.optimise(module, object_code._target_machine())
+    lines = str(module.get_function("loop")).splitlines()
+    assert sum("fadd" in line for line in lines) == 1
+    assert not any("call" in line for line in lines)
 
 
 def index(x, size):
