@@ -60,8 +60,13 @@ class _Pressed(NamedTuple):
 
 
 def contact_rates(mechanism: Mechanism, duration: float, step: float) -> dict[str, ContactRates]:
-    """Rates of every clearance joint with a compliant law, in a run of `duration` [s] with steps of
-    `step` [s] (over which friction that remembers is taken)."""
+    """Rates of every clearance joint with a compliant law, estimated before a run.
+
+    Args:
+        mechanism: with numbers; it is assembled.
+        duration: of the run [s].
+        step: length over which friction with memory is taken [s].
+    """
     # A drive takes its link to where the others, which stay at their start, cannot follow.
     times = np.zeros(1) if mechanism.driven else np.linspace(0.0, duration, INSTANTS)
     rates = _rates_of_joints(*ready(mechanism)[:2], times, np.asarray(step))

@@ -270,7 +270,14 @@ class PermanentContact(AbstractFormulation):
 
 
 def displace(system: System, q: list, speeds: list, h: Any) -> list:
-    """Coordinates after speeds have been held for `h` [s], by the joints' exponential maps."""
+    """Coordinates after constant speeds, by the joints' exponential maps.
+
+    Args:
+        system: with the joints.
+        q: coordinates, scalars.
+        speeds: scalars.
+        h: time [s].
+    """
     out: list[Any] = []
     for link, place, v in zip(system.links, *unpack_motion(system, [*q, *speeds]), strict=True):
         if place:

@@ -167,8 +167,14 @@ def motion_of(formulation: CompliantContact, rest: Any) -> Motion:
 
 
 def equations(formulation: CompliantContact, rest: Any, plain: Callable) -> Equations:
-    """Of a model, of which this is the `rest` beside its arrays; `plain`: its rates as a function
-    of (arrays, time, state), and of shares where couplings have play."""
+    """Right side and its derivatives with touches, for steps under error control.
+
+    Args:
+        formulation: of the run.
+        rest: what is left of the model without its arrays.
+            plain: rates as a function of (arrays, time, state), and of shares where couplings have
+            play.
+    """
 
     model = motion_of(formulation, rest)
 
@@ -285,9 +291,15 @@ class Crossed(NamedTuple):
 
 
 def cross(model: Motion, here: tuple, d_in: tuple, acting: tuple, always: bool) -> Crossed:
-    """Behind an instant at which contacts that act by these shares, (before, after), touch and
-    part; `here`: (arrays, time, state), `d_in`: their derivatives before it; `always`: for
-    rates."""
+    """State and derivative behind an instant at which contacts touch and part.
+
+    Args:
+        model: motion of the model.
+        here: arrays, time [s] and state.
+        d_in: their derivatives before the instant.
+        acting: shares of the contacts before and after, 1 in contact and 0 apart.
+        always: whether rates of the contacts are needed as well.
+    """
     (arrays, time, y), (before, after), state = here, acting, d_in[2]
     flow = model.rates(arrays, before, time, y)
     always = always or model.remembers or not model.layout.plays
@@ -323,8 +335,14 @@ def cross(model: Motion, here: tuple, d_in: tuple, acting: tuple, always: bool) 
 
 
 def falling(model: Motion, here: tuple, acting: Any, flow: Any) -> Any:
-    """How fast the depths of contacts that act by these shares change at (arrays, time, state),
-    whose rate this `flow` is."""
+    """Rate of the depths of contacts along the motion [m/s].
+
+    Args:
+        model: motion of the model.
+        here: arrays, time [s] and state.
+        acting: shares of the contacts, 1 in contact and 0 apart.
+        flow: rate of the state.
+    """
     arrays, time, y = here
     depths = lambda time, y: model.depths(arrays, time, y, acting)
     return jax.jvp(depths, (time, y), (jnp.ones_like(time), flow))[1]
@@ -357,7 +375,14 @@ def _slopes(model: Motion, shares: Any, here: tuple, d_in: tuple, slopes: Any) -
 
 
 def with_impact_speeds(layout: Layout, state: Any, taken: Any, speeds: Any) -> Any:
-    """The state with these in the places of impact speeds that have been taken."""
+    """The state with new impact speeds where contacts have touched.
+
+    Args:
+        layout: where impact speeds sit.
+        state: shape (n,).
+        taken: which contacts have touched.
+        speeds: of touch [m/s].
+    """
     entries = [state[i] for i in range(layout.size)]
     for i, place in enumerate(impact_speed_places(layout)):
         if place is not None:
@@ -384,13 +409,23 @@ class Now(NamedTuple):
 def through_touches(
     formulation: CompliantContact, rest: Any, plain: Callable, length: Callable, view: Callable
 ) -> Callable:
-    """A step with its derivative, as a function of (arrays, clock, state, last, met).
+    """A step with its derivative, as a function of (arrays, clock, state, last, peaks).
 
-    `plain(arrays, clock, state, last)`: its length [s], the state at its end and what it leaves to
-    the next: the contacts at its start and its length; `length(clock, contacts, last)`: the length
-    by these contacts; `seen(arrays, end, met, (last, now))`: the peaks of the contacts, by what
-    this step and the one before leave. `arrays`: of the model, all else,
-    and peaks before the interval; `clock`: begins with the time [s]."""
+    `arrays` are those of the model, all others, and peaks before the interval; `clock` begins with
+    the
+    time [s].
+
+    Args:
+        formulation: of the run.
+        rest: what is left of the model without its arrays.
+            plain: `plain(arrays, clock, state, last)`: length [s] and end of the step, and what it
+            hands on:
+            the contacts at its start and its length.
+        length: `length(clock, contacts, last)`: length of a step by these contacts [s].
+            view: `view(arrays, end, peaks, (last, now))`: peaks of the contacts, by what the step
+            before and
+            this one hand on.
+    """
     motion = motion_of(formulation, rest)
 
     @jax.custom_jvp
@@ -439,7 +474,13 @@ def _higher(motion: Any, first: Now, ended: tuple, d_in: tuple) -> Any:
 
 
 def motions_over(motion: Any, start: Now, end: Any) -> tuple[ContactMotion, ContactMotion]:
-    """The motion of the contacts at both ends of a step."""
+    """Motion of the contacts at both ends of a step.
+
+    Args:
+        motion: of the model.
+        start: arrays, time, state and length.
+        end: state at the end, shape (n,).
+    """
     first = start.contacts
     if motion.layout.plays:
         first = motion.contacts(start.arrays, start.time, start.state)
@@ -447,8 +488,14 @@ def motions_over(motion: Any, start: Now, end: Any) -> tuple[ContactMotion, Cont
 
 
 def at_moving_time(motion: Any, start: Now, acting: Any, d_in: tuple) -> tuple:
-    """The derivative of the state where a step begins, at a time that moves with touches
-    (`saltation`), and by how much that does. `d_in`: derivatives of (arrays, time, state)."""
+    """Derivative of the state at a step's start, at a time that moves with touches, and its shift.
+
+    Args:
+        motion: of the model.
+        start: arrays, time, state and length.
+        acting: shares of the contacts, 1 in contact and 0 apart.
+        d_in: derivatives of arrays, time and state.
+    """
     d_arr, time, state = d_in
     step = Step(start.arrays, start.contacts, start.length, acting)
     d_in = (d_arr, None, None), (time, moved(state)), ()
@@ -457,8 +504,15 @@ def at_moving_time(motion: Any, start: Now, acting: Any, d_in: tuple) -> tuple:
 
 
 def at_fixed_time(motion: Any, start: Now, acting: Any, end: Any, moves: tuple) -> Any:
-    """The derivative of the state where a step ends, at a fixed time. `moves`: (that at a time
-    which moves, by how much that does)."""
+    """Derivative of the state at the end of a step, at a fixed time.
+
+    Args:
+        motion: of the model.
+        start: arrays, time, state and length.
+        acting: shares of the contacts, 1 in contact and 0 apart.
+        end: state at the end, shape (n,).
+        moves: derivative of the state at a time that moves, and how much that moves [s].
+    """
     (d_arr, shift), time = moves, start.time + start.length
     if not motion.layout.joint_contacts:
         return d_arr
@@ -498,9 +552,14 @@ def _remembering(formulation: CompliantContact, rest: Any, motion: Any) -> Calla
 
 
 def separate(motion: Any, start: Now, end: Any, d_in: tuple) -> tuple[Any, Any]:
-    """A step in which a contact closes or parts, at whose end the state is about `end`: whether one
-    has changed, and the derivative of the state at the end.
-    `d_in`: derivatives of arrays, of (time, length), and of the state."""
+    """Whether a contact changes within a step, and the derivative of the state at its end.
+
+    Args:
+        motion: of the model.
+        start: arrays, time, state and length.
+        end: about the state at the end, shape (n,).
+        d_in: derivatives of arrays, of (time, length), and of the state.
+    """
     d_arr, (d_time, longer), state = d_in
     time, h = start.time, start.length
     before = closed(start.contacts)
@@ -541,7 +600,16 @@ def separate(motion: Any, start: Now, end: Any, d_in: tuple) -> tuple[Any, Any]:
 
 
 def cross_within(motion: Any, start: Now, d_in: tuple, at: Any, y: Any, acts: tuple) -> tuple:
-    """(state, its derivative, by how much later [s]) behind what is `hit` at a time."""
+    """(state, its derivative, delay [s]) behind contacts that change at an instant within a step.
+
+    Args:
+        motion: of the model.
+        start: arrays, time, state and length of the step.
+        d_in: derivatives of arrays and state.
+        at: instant [s].
+        y: state at the instant, shape (n,).
+        acts: shares of the contacts before, and which of them change.
+    """
     (d_arr, state), (acting, hit) = d_in, acts
     flow, here = motion.rates(start.arrays, acting, at, y), (start.arrays, at, y)
     if motion.layout.plays:
@@ -564,8 +632,14 @@ def cross_within(motion: Any, start: Now, d_in: tuple, at: Any, y: Any, acts: tu
 
 
 def along(motion: Any, start: Now, acting: Any, d_in: tuple) -> tuple:
-    """(state, its derivative) at the end of a part of a motion in which contacts act by these
-    shares. `d_in`: derivatives of (arrays, state)."""
+    """(state, its derivative) at the end of a motion in which no contact changes.
+
+    Args:
+        motion: of the model.
+        start: arrays, time, state and length.
+        acting: shares of the contacts, 1 in contact and 0 apart.
+        d_in: derivatives of arrays and state.
+    """
     d_arr, state = d_in
     go = lambda arrays, time, y: flow_end(motion, arrays, acting, time, start.length, y)
     state, shift = at_moving_time(motion, start, acting, (d_arr, jnp.zeros(()), state))
@@ -574,8 +648,15 @@ def along(motion: Any, start: Now, acting: Any, d_in: tuple) -> tuple:
 
 
 def flow_end(motion: Any, arrays: Any, shares: Any, time: Any, length: Any, y: Any) -> Any:
-    """The state after a time in which contacts act by these shares (None: as their indentations
-    have it)."""
+    """The state after a time in which no contact changes.
+
+    Args:
+        motion: of the model.
+        arrays: of the model.
+        shares: of the contacts, 1 in contact and 0 apart; None: by their indentations.
+        time, length: start and duration [s].
+        y: state at the start, shape (n,).
+    """
     nodes, weights = jnp.asarray(NODES), jnp.asarray(WEIGHTS)
 
     def stage(carry, i):

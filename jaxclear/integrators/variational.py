@@ -66,17 +66,30 @@ class Resolved(NamedTuple):
 
 
 def not_resolved(size: int, contacts: int, damped: bool) -> Resolved:
-    """Where a run begins, of which the state has this size, and some contact is `damped`."""
+    """The record of the motion beside a run, at its start.
+
+    Args:
+        size: of the state.
+        contacts: their number.
+        damped: whether some contact damps, so that its peak force is followed.
+    """
     return Resolved(jnp.zeros(size), jnp.zeros(()), no_peaks(jnp.zeros(contacts), damped))
 
 
 def resolved_steps(formulation: CompliantContact, rest: Any, plain: Callable) -> Callable:
-    """A step with the derivative of the motion beside it, as a function of (arrays, clock, state,
-    last, met, beside).
+    """A step with the derivative of the motion beside it.
 
-    `plain(arrays, clock, y, last, met)`: the state at its end, what it leaves to the next, and the
-    peaks until then. `arrays`: of the model, and of all else; `clock`: its start and length [s];
-    `rest`: of the model."""
+    It is a function of (arrays, clock, state, last, peaks, resolved); `arrays` are those of the
+    model and
+    all others, `clock` is start and length [s].
+
+    Args:
+        formulation: of the run.
+        rest: what is left of the model without its arrays.
+            plain: `plain(arrays, clock, y, last, peaks)`: the state at the end, what the step hands
+            on, and
+            the peaks until then.
+    """
     motion = motion_of(formulation, rest)
 
     def remember(arrays, y, contacts, length):
@@ -126,8 +139,14 @@ def so_far(resolved: Resolved) -> Resolved:
 
 
 def trust_resolved(end: Any, peaks: Any, watch: Any, resolved: Resolved) -> tuple:
-    """All that was found of a run, where the derivative of the motion beside it can be trusted;
-    events have none."""
+    """Results of a run, with derivatives where the motion beside it is trusted; events have none.
+
+    Args:
+        end: state at the end, shape (n,).
+        peaks: largest depths and forces.
+        watch: events and transmitted forces.
+        resolved: the motion beside the run, with how far it parted.
+    """
     outputs = end, peaks, watch.transmitted
     outputs = allow_first_derivative(NO_SECOND, while_together(outputs, resolved.parted))
     return *outputs[:2], without_derivative(watch)._replace(transmitted=outputs[2])
@@ -207,10 +226,15 @@ class _Substep(NamedTuple):
 
 
 def followed(motion: Any, remember: Callable, clock: tuple, d_in: tuple, request: tuple) -> Part:
-    """A motion over a time, where it is needed. `remember(state, contacts)`: the state as it
-    knows its impact speeds. `clock`: (arrays, start [s], length [s]), `d_in`: the derivatives of
-    the arrays and of the state, at times that do not move; `request`: (`needed`, the state, (the
-    peaks, their derivatives))."""
+    """A motion over a time with its derivative, where it is needed.
+
+    Args:
+        motion: of the model.
+        remember: `remember(state, contacts)`: the state with its impact speeds.
+        clock: arrays, start and length [s].
+        d_in: derivatives of arrays and state, at times that do not move.
+        request: whether it is needed, the state, and (peaks, their derivatives).
+    """
     (_, _, total), (d_arr, state), (needed, y, highest) = clock, d_in, request
     nothing = jnp.zeros(())
     first = Part(

@@ -107,8 +107,14 @@ class AbstractAnswer(AbstractShown):
 def with_interval(
     name: str, dims: tuple[str, ...], statistics: Mapping[Any, Any], unit: str = "1"
 ) -> dict[str, Column]:
-    """Columns of statistics (`value`, `low`, `high`, `error`) by their labels: the value with its
-    error, and in the Dataset the ends of its interval."""
+    """Columns of statistics: values with errors, and in the Dataset the ends of intervals.
+
+    Args:
+        name: of the column of values.
+        dims: dimensions over which the statistics are.
+        statistics: with `value`, `low`, `high` and `error`, by label.
+        unit: of the values.
+    """
     read = lambda part: {key: float(getattr(one, part)) for key, one in statistics.items()}
     ends = {f"{name} {end}": Column(dims, read(end), unit, only=DATASET) for end in ("low", "high")}
     return {name: Column(dims, read("value"), unit, error=read("error"))} | ends
@@ -138,7 +144,13 @@ def means_and_deviations(
 
 
 def columns_of(table: Any, dim: str, before: str = "") -> dict[str, Column]:
-    """The columns of another table of an answer, for its Dataset; `before` their names."""
+    """The columns of another table of an answer, for its Dataset.
+
+    Args:
+        table: of pandas, with units as attributes.
+        dim: dimension of its rows.
+        before: prefix of the columns' names.
+    """
     units = table.attrs.get("units", {})
     counted = table.index.name is None
     return {

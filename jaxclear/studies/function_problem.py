@@ -150,7 +150,13 @@ class FunctionExperiment(AbstractExperiment):
         return Cost(self.memory, LARGEST_CHUNK, cheap=True)
 
     def detail(self, setting, index, chunk) -> dict[str, Array]:
-        """What the function gives for one sample, numbers and series by name."""
+        """Numbers and series of one sample, by name.
+
+        Args:
+            setting: values of the sample.
+            index: of the sample in its study.
+            chunk: samples of a chunk of the study.
+        """
         return sample_of_chunk(self.answers, setting, index, chunk)
 
     def describe(self):

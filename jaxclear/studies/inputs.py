@@ -104,8 +104,14 @@ def joint(
     nominal: Any,
     correlation: Float[Array, "variables variables"] | None = None,
 ) -> Inputs:
-    """The joint distribution of numbers with these names and nominal values; each of the
-    distributions is that of one of them, or of several in a row."""
+    """The joint distribution of numbers.
+
+    Args:
+        names: of the numbers.
+        distributions: each of one number, or of several in a row.
+        nominal: values, shape (variables,).
+        correlation: of the scores; None: independent.
+    """
     alone, joints = list[AbstractDistribution](), list[Any]()
     for law in distributions:
         several = isinstance(law, AbstractJointDistribution)

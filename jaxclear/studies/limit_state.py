@@ -187,7 +187,13 @@ def system_margin(margins: np.ndarray, cuts: tuple[frozenset[int], ...]) -> np.n
 
 
 def check_limit(limit: Any, response_names: tuple[str, ...], owner: str) -> None:
-    """Raises `ValueError` for what is no limit, or for one on a response that there is not."""
+    """Raises `ValueError` for what is no limit state, or one on an unknown response.
+
+    Args:
+        limit: to be checked.
+        response_names: of the problem.
+        owner: function in the message.
+    """
     expect(
         limit,
         AbstractLimitState,

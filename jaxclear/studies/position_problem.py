@@ -106,7 +106,13 @@ class PositionExperiment(AbstractExperiment):
         return Cost(8 * NUMBERS * len(self.position), LARGEST_CHUNK, cheap=True)
 
     def detail(self, setting, index, chunk) -> Positions:
-        """The mechanism of one sample at all positions."""
+        """The mechanism of one sample at all positions.
+
+        Args:
+            setting: values of the sample.
+            index: of the sample in its study.
+            chunk: samples of a chunk of the study.
+        """
         return sample_of_chunk(self._positions, setting, index, chunk)
 
     def describe(self):

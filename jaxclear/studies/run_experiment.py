@@ -324,7 +324,13 @@ class RunExperiment(AbstractExperiment):
         return "", refusal(modelled, self.integrator, discrete=True)
 
     def detail(self, setting, index, chunk) -> Trajectory:
-        """The run of one sample, bit for bit as it ran in its chunk."""
+        """The run of one sample, bit for bit as it ran in its chunk.
+
+        Args:
+            setting: values of the sample.
+            index: of the sample in its study.
+            chunk: samples of a chunk of the study.
+        """
         return diagnosed(sample_of_chunk(self._simulated, setting, index, chunk))
 
     def _simulated(self, setting: Setting) -> Trajectory:

@@ -134,9 +134,18 @@ def _drawn(value: Any, runs: int, rng: np.random.Generator) -> np.ndarray:
 
 
 def filter_signal(signal: Array, rate: Scalar, bandwidth: Any, delay: Any, gain: Any) -> Array:
-    """What an instrument whose numbers are known makes of a signal (n,) at `rate` [Hz], without
-    noise. Its first-order low-pass (None: none) is exact for signals that are constant between
-    samples, and begins settled."""
+    """Reading of an instrument for a signal, without noise.
+
+    Its first-order low-pass is exact for signals that are constant between samples, and starts
+    settled.
+
+    Args:
+        signal: shape (n,).
+        rate: of its samples [Hz].
+        bandwidth: of the low-pass [Hz]; None: without.
+        delay: of the reading [s].
+        gain: factor of the reading [1].
+    """
     if bandwidth is not None:
         decay = jnp.exp(-2 * jnp.pi * bandwidth / rate)
 
@@ -324,8 +333,13 @@ def _check_axis(sensor: Any) -> None:
 
 
 def check_sensor(name: str, sensor: Any, mechanism: Any) -> None:
-    """Raises `ValueError` with a sentence where a signal has no sensor, or one of something that
-    the mechanism has not."""
+    """Raises `ValueError` for a signal without a sensor, or one of what the mechanism lacks.
+
+    Args:
+        name: of the signal.
+        sensor: to be checked.
+        mechanism: with bodies and joints.
+    """
     expected = 'one of jaxclear.sensor, such as Accelerometer("slider", axis="x")'
     expect(sensor, AbstractSensor, f'the sensor of signal "{name}"', expected)
     if isinstance(sensor, Series):

@@ -23,12 +23,18 @@ def first_of(samples: int, scramblings: int) -> int:
 
 
 def until_accurate(problem: Problem, first: int, most: int, request: Goals, grown: Callable) -> str:
-    """Doubles a sample, from the first number on, until it is accurate or would be more than the
-    most; a sentence where it is not accurate, else "". `grown` is given how many samples there are
-    to be, and gives them in pieces: responses by name (samples,), and scramblings (samples,).
+    """Doubles a sample until its means are accurate; a sentence where they are not, else "".
 
-    Of a response that is infinite in some samples there is no mean, whatever their number: none are
-    added for it, and a sentence says so."""
+    A response that is infinite in some samples has no mean: no samples are added for it.
+
+    Args:
+        problem: with the responses.
+        first: number of samples to begin with.
+        most: largest number of samples.
+        request: required accuracies.
+            grown: function of a number of samples: pieces of responses by name (samples,), and
+            scramblings.
+    """
     count = first
     while True:
         endless: set[str] = set()

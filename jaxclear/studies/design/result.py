@@ -298,6 +298,12 @@ class Design(AbstractAnswer):
 
 
 def prices_of(question: Question, multipliers: np.ndarray, samples: list) -> np.ndarray:
-    """Cost (limits,) that a unit of each bound would save, from what a unit of excess does."""
+    """Cost that a unit of each bound would save, shape (limits,).
+
+    Args:
+        question: with the limits and their sizes.
+        multipliers: cost saved by an excess of 1 of each limit, shape (limits,).
+        samples: of each limited response.
+    """
     rows = zip(question.limits, multipliers, samples, question.sizes, strict=True)
     return np.array([float(limit.give(x)) * factor / size for limit, factor, x, size in rows])

@@ -117,7 +117,14 @@ class Sought(NamedTuple):
 
 
 def sought(question: Question, runs: Runs, settings: DesignSettings, direct: bool) -> Sought:
-    """The rounds of a design. An interrupt ends it with the rounds so far."""
+    """The rounds of a design; an interrupt ends it with the rounds so far.
+
+    Args:
+        question: cost and limits.
+        runs: counts and stores the problem's runs.
+        settings: of the search.
+        direct: whether the problem itself is optimised, without a surface.
+    """
     seeking = _Seeking(question, runs, settings, direct)
     try:
         seeking.go()
@@ -273,7 +280,13 @@ class _Seeking:
 def rare_regions(
     question: Question, place: np.ndarray, model: AbstractModel
 ) -> tuple[np.ndarray, ...]:
-    """Centres (variables,) of the rare regions of all limits; none where nothing rare decides."""
+    """Centres (variables,) of the rare regions that decide limits; none where nothing rare does.
+
+    Args:
+        question: with the limits.
+        place: the candidate, shape (free,).
+        model: responses of its parts.
+    """
     regions: list[np.ndarray] = []
     for number, limit in enumerate(question.limits):
         share = limit.rarest()

@@ -59,8 +59,15 @@ def scatter(numbers: np.ndarray, parts: int) -> np.ndarray:
 
 
 def chosen(moments: list[np.ndarray], costs: np.ndarray, target: np.ndarray, parts: int) -> Chain:
-    """The chain of the least work for means as certain as `target` (responses,), from the moments
-    (samples, moments) of each model in the pilot sample and the cost of a run of each."""
+    """The chain of models of least work for means of a given accuracy.
+
+    Args:
+            moments: of each model in the pilot sample, shape (samples, moments), the accurate one
+            first.
+        costs: of a run of each model.
+        target: accuracy of each mean, shape (responses,).
+        parts: number of scramblings.
+    """
     alone = _one_chain((0,), moments, costs, target, parts)
     cheap = sorted(range(1, len(moments)), key=lambda m: -costs[m])
     best = alone
@@ -110,7 +117,14 @@ class Link:
         self.good = self.warned = np.zeros(0, bool)
 
     def add(self, values: np.ndarray, parts: int, question, progress_bar: bool) -> None:
-        """Takes in the samples at values, the scramblings taking turns."""
+        """Runs further samples of this level and adds them.
+
+        Args:
+            values: of the variables, shape (samples, variables); scramblings take turns.
+            parts: number of scramblings.
+            question: names of responses, and how warnings are read.
+            progress_bar: whether one is shown.
+        """
         upper = self.models[0].runs(values, progress_bar)
         upper_runs = model_responses(self.models[0], question.names, upper)
         moments = upper_runs.moments(question.middle)

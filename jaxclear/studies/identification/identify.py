@@ -187,7 +187,15 @@ def fit(
     statistics: dict[str, Callable],
     seed: int = 0,
 ) -> RegressedStatistics:
-    """The sample as a record's sensors see it, and the unknowns by what they see."""
+    """The sample as a record's sensors see it, and the regression of unknowns on its statistics.
+
+    Args:
+        problem: with the unknowns as variables.
+        record: whose sensors, rate and turns are used.
+        sample: runs over the priors.
+        statistics: functions of a signal, by name.
+        seed: of the sensors' noise.
+    """
     if len(sample.values) < LEAST_RUNS:
         raise ValueError(
             f"{sample.failed} runs of the sample failed and {len(sample.values)} are left, fewer "

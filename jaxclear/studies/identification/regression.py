@@ -150,9 +150,14 @@ class Regression(NamedTuple):
 def regression(
     statistics: np.ndarray, unknowns: np.ndarray, groups: np.ndarray | None = None
 ) -> Regression:
-    """The regression of `unknowns` (runs, unknowns), shares of their priors, on `statistics` (runs,
-    statistics) of a sample. `groups` (runs,): numbers of those that are left out together (None:
-    each alone)."""
+    """Kernel ridge regression of unknowns on statistics of a sample.
+
+    Args:
+        statistics: shape (runs, statistics).
+        unknowns: shares of their priors [1], shape (runs, unknowns).
+            groups: number of the group of each run; a group is left out as a whole. None: each run
+            alone.
+    """
     whiten = whitened(statistics)
     parts = whiten(statistics)
     surfaces = _surfaces(parts, unknowns, LENGTHS, groups)
@@ -252,7 +257,13 @@ class Prediction(NamedTuple):
 
 
 def predict(fitted: Regression, statistics: np.ndarray, level: float = 0.95) -> list[Prediction]:
-    """What the statistics (statistics,) of a record say of each unknown."""
+    """Estimate and interval of each unknown from the statistics of a record.
+
+    Args:
+        fitted: regression on a sample.
+        statistics: of the record, shape (statistics,).
+        level: confidence of the intervals [1].
+    """
     # One beyond an end of the prior stands at the end, with an interval of its usual width.
     estimates = np.clip(fitted.estimates(statistics)[0], 0.0, 1.0)
     intervals = []

@@ -108,11 +108,20 @@ def fit_signal(
 ) -> SignalFit:
     """The posterior of a problem's unknowns given a record of its signals.
 
-    `starts`: places that searches begin at, the nominal values among them; `windows`: how often
-    each search's window doubles until it holds the record; `draws`: runs that say what follows of
-    the responses. Where no search ends at an optimum, or where a known noise does not explain what
-    is left, `refusal` says so in a sentence, and there are no intervals. Raises `ValueError` where
-    signals and problem do not fit together."""
+    Where no search ends at an optimum, or a known noise does not explain the residual, there are no
+    intervals and `refusal` says why.
+
+    Args:
+        forward: signals of the unknowns, with derivatives.
+        record: to be fitted.
+        starts: number of searches, the nominal values among their starts.
+        windows: how often each search's window doubles until it holds the record.
+        draws: runs that sample what follows for the responses.
+        seed: of starts and draws.
+
+    Raises:
+        ValueError: signals and problem do not fit together.
+    """
     check_signals(forward, record)
     begin = starts_of(starts, len(forward.problem.names), seed)
     scale = _first_scale(record)

@@ -49,8 +49,12 @@ def fit_signals(
     draws: int = 512,
     seed: int = 0,
 ) -> SignalFits:
-    """What records of a machine tell of the unknowns of its `models`, {name: one for each record,
-    beside it}; the rest as in `fit_signal`."""
+    """Fits of all models of a machine to all records, and intervals for the next record.
+
+    Args:
+        models: for each name a (forward model, record) for each record.
+        starts, windows, draws, seed: as of `fit_signal`.
+    """
     how = {"starts": starts, "windows": windows, "draws": draws, "seed": seed}
     fits = {
         name: tuple(fit_signal(model, record, **how) for model, record in every)

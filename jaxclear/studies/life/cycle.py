@@ -147,7 +147,13 @@ compiled_cycle = compiled_quickly(_cycle, AROUND_A_KERNEL)
 
 
 def cycle(request: Request, begin: SavedMotion, worn: Worn) -> tuple[Cycle, Trajectory]:
-    """A cycle simulated, and its run."""
+    """A cycle simulated, and its run.
+
+    Args:
+        request: problem, responses and settings of a life.
+        begin: motion at its start.
+        worn: depth maps [m] by joint and surface.
+    """
     with stoppable():
         result, trajectory = jax.block_until_ready(compiled_cycle(request, begin, worn))
         trajectory = diagnosed(trajectory)
@@ -195,7 +201,13 @@ worn_by_cycles = compiled_quickly(_worn_by_cycles, AROUND_A_KERNEL)
 
 
 def kind_of_cycle(request: Request, begin: SavedMotion, worn: Worn) -> Cycle:
-    """A cycle with shapes in place of numbers; nothing is simulated."""
+    """A cycle with shapes instead of numbers; nothing is simulated.
+
+    Args:
+        request: problem, responses and settings of a life.
+        begin: motion at its start.
+        worn: depth maps [m] by joint and surface.
+    """
     return eqx.filter_eval_shape(compiled_cycle, request, begin, worn)[0]
 
 
@@ -241,9 +253,18 @@ def check_cycle(what: str, problem: Any) -> None:
 def as_problem(
     owner: str, subject: Any, period: Any, cycles: int, state: State | None = None
 ) -> Problem:
-    """The problem whose duration is one cycle: the one given, or a mechanism with its `period` [s],
-    the `state` from which it begins and the responses that one asks of it. Raises `ValueError` with
-    a sentence, also where drives do not repeat after a period and not after so many `cycles`."""
+    """The problem whose duration is one cycle.
+
+    Args:
+        owner: function in messages.
+        subject: such a problem, or a mechanism.
+        period: of a mechanism's cycle [s]; None with a problem.
+        cycles: after how many of them drives must repeat at the latest.
+        state: in which a mechanism begins; None: its own start.
+
+    Raises:
+        ValueError: arguments do not fit together, or drives do not repeat.
+    """
     if isinstance(subject, Problem):
         check_cycle(f"the first argument of {owner}", subject)
         if period is not None or state is not None:
@@ -352,8 +373,14 @@ def _size(values: Float[Array, "*batch n"]) -> Float[Array, " *batch"]:
 
 
 def restless(mechanism: Mechanism, start: float, period: float) -> dict[str, tuple]:
-    """The drives that do not repeat from a time [s] to a `period` [s] later: by joint, what they
-    move it by [rad, m], and how far that is from where it was."""
+    """Drives that do not repeat after a period: (travel [rad, m], distance from the start) by
+    joint.
+
+    Args:
+        mechanism: with drives.
+        start: beginning of the period [s].
+        period: [s].
+    """
     changes = {}
     for name in mechanism.driven:
         joint = mechanism.connections[name].joint
@@ -381,8 +408,17 @@ def check_cycles(owner: str, cycles: Any) -> None:
 def check_period(
     owner: str, mechanism: Mechanism, start: float, period: float, cycles: int = 1
 ) -> None:
-    """Raises `ValueError` where a drive does not repeat over a cycle that begins at a time [s], nor
-    over the last of so many: it may be on its way up to what it does for ever."""
+    """Raises `ValueError` where a drive repeats neither over the first cycle nor over the last.
+
+    A drive may approach what it does for ever.
+
+    Args:
+        owner: function in the message.
+        mechanism: with drives.
+        start: beginning of the first cycle [s].
+        period: of a cycle [s].
+        cycles: number of cycles.
+    """
     later = restless(mechanism, start + (cycles - 1) * period, period)
     for name, (moved, away) in restless(mechanism, start, period).items():
         if name not in later:
@@ -399,7 +435,14 @@ def check_period(
 
 
 def warn_of_several(owner: str, mechanism: Mechanism, start: float, period: float) -> None:
-    """Warns where all drives repeat after a part of the period already, as whole turns tell."""
+    """Warns where all drives repeat after a part of the period, by whole turns.
+
+    Args:
+        owner: function in the warning.
+        mechanism: with drives.
+        start: beginning of the period [s].
+        period: [s].
+    """
     joints = [mechanism.connections[name].joint for name in mechanism.driven]
     turns = [
         (_driven_to(joint, start + period) - _driven_to(joint, start)) / (2 * np.pi)

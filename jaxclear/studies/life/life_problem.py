@@ -268,7 +268,12 @@ class LifeExperiment(AbstractExperiment):
         return Cost(self.problem.cost().memory, 1, compiled=False)
 
     def detail(self, setting, index, chunk) -> WearLife:
-        """The life of one sample."""
+        """The life of one sample.
+
+        Args:
+            setting: values of the sample.
+            index, chunk: of the sample in its study, not needed here.
+        """
         return self.life(setting.values)
 
     def describe(self):

@@ -228,8 +228,13 @@ def units_of_coordinates(mechanism: Mechanism) -> tuple[str, ...]:
 
 
 def predicted(places: Sequence[Place], depth: np.ndarray, units: tuple[str, ...]) -> SavedMotion:
-    """Where a motion begins on surfaces of this depth: at the end of the last one that settled,
-    moved as the surfaces have moved since."""
+    """The motion at which a cycle on given surfaces begins, extrapolated from the last two.
+
+    Args:
+        places: surfaces on which the motion has settled, with its end there.
+        depth: of all cells [m].
+        units: of the coordinates, which say what is an angle or a quaternion.
+    """
     last = places[-1].motion
     before = next((p for p in places[-2::-1] if np.any(p.depth != places[-1].depth)), None)
     if before is None:

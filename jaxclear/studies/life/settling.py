@@ -138,9 +138,20 @@ def settle(
     ready: Callable = lambda c: True,
     least: int = 1,
 ) -> Settling:
-    """At `least` so many cycles from a state until one is periodic and `ready`, until their mean
-    is known well enough, or until patience ends. Then all but the first are taken where a mean was
-    wanted, otherwise the later half. A cycle that fails is the last."""
+    """Cycles from a state until one is periodic, or their mean is accurate, or patience ends.
+
+    Without a periodic one, all but the first count where a mean was wanted, otherwise the later
+    half. A
+    cycle that fails is the last.
+
+    Args:
+        run: function of a motion and worn surfaces: a cycle.
+        begin: motion at the first.
+        worn: depth maps [m] by joint and surface.
+        patience: largest number of cycles, distance of a periodic one, noise of a mean.
+        ready: further condition on the last cycle.
+        least: smallest number of cycles.
+    """
     cycles: list[Cycle] = []
     while len(cycles) < patience.most:
         one = run(begin, worn)

@@ -157,7 +157,13 @@ class Node(NamedTuple):
 
     @classmethod
     def first(cls, depth: np.ndarray, rate: Rate, cells: Cells) -> "Node":
-        """That at the start of a life."""
+        """The node at the start of a life.
+
+        Args:
+            depth: of all cells [m].
+            rate: of wear there.
+            cells: of all surfaces.
+        """
         none, flat = np.zeros(len(cells.surfaces)), np.zeros(len(cells.areas))
         return cls(0.0, depth, rate, none, none, flat, flat)
 
@@ -219,9 +225,17 @@ class Machine(NamedTuple):
 
 
 def live(machine: Machine, start: Node, cycles: float, tolerance: float, first: float) -> Stepped:
-    """Steps to the end of `cycles`, each with an error of at most `tolerance` [1] of what it wears;
-    the `first` is so many cycles long. Steps that would be no longer than what their rates cost
-    give way to cycles one by one."""
+    """Steps of many cycles to the end of a life, with an error control.
+
+    Steps no longer than the cycles that their rates cost are replaced by single cycles.
+
+    Args:
+        machine: rates of wear and what surfaces become.
+        start: node at the beginning.
+        cycles: of the life.
+        tolerance: largest error of a step as a share of what it wears [1].
+        first: length of the first step [cycles].
+    """
     nodes, rejected, failures, length = [start], 0, 0, first
     refused: tuple[float, float] | None = None
     scatter, ceiling = 0.0, cycles
@@ -266,7 +280,13 @@ def live(machine: Machine, start: Node, cycles: float, tolerance: float, first: 
 
 
 def live_along(machine: Machine, start: Node, lengths: Sequence[Length]) -> Stepped:
-    """Steps of these lengths, whatever their errors: those of another life."""
+    """A life in given steps, whatever their errors: those of another life.
+
+    Args:
+        machine: rates of wear and what surfaces become.
+        start: node at the beginning.
+        lengths: cycles and parts of each step.
+    """
     nodes, cycles = [start], sum(length.cycles for length in lengths)
     trials: list[Trial] = []
     for length, parts in lengths:
@@ -285,8 +305,16 @@ def live_along(machine: Machine, start: Node, lengths: Sequence[Length]) -> Step
 
 
 def live_by_jumps(machine: Machine, start: Node, cycles: float, jump: float) -> Stepped:
-    """Steps of `jump` cycles, each with the losses at its start; half of what the next ones say
-    otherwise is their error."""
+    """A life in equal jumps, each with the losses at its start.
+
+    Half of the difference to the losses at the next start is their error.
+
+    Args:
+        machine: rates of wear and what surfaces become.
+        start: node at the beginning.
+        cycles: of the life.
+        jump: length of a step [cycles].
+    """
     nodes, cells = [start], machine.cells
     while cycles - nodes[-1].cycles > 1e-9 * cycles:
         now = nodes[-1]

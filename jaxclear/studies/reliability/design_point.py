@@ -79,8 +79,15 @@ def design_points(
     seed: int,
     hopeless: Callable[[], bool] = lambda: False,
 ) -> list[DesignPoint]:
-    """The design points of each cut set, likeliest first; none where nothing fails within
-    `FURTHEST`. `hopeless`: asked where a first search finds none, whether others are in vain."""
+    """The design points of each cut set, likeliest first; none without a failure in `FURTHEST`.
+
+    Args:
+        model: margins at standard normal numbers.
+        cuts: sets of limits that fail together.
+        variables: number of variables.
+        seed: of the searches' starts.
+        hopeless: function called where a first search finds none: whether others are in vain.
+    """
     rng = np.random.default_rng([seed, 2])
     points: list[DesignPoint] = []
     for cut in cuts:

@@ -179,5 +179,10 @@ class Probability(NamedTuple):
 
 
 def refused(why: str, runs: int = 0, failed: int = 0) -> Probability:
-    """No answer, and the sentence that says why."""
+    """A probability without a value, with the reason.
+
+    Args:
+        why: sentence for the user.
+        runs, failed: numbers of runs, and of those that failed.
+    """
     return Probability(np.nan, runs=runs, failed=failed, refusal=why)

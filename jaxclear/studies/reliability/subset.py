@@ -42,12 +42,19 @@ FAR = 1e-8
 
 
 def subset(model: RunModel, variation: float, most_runs: int, seed: int) -> Probability:
-    """Probability of failing to a coefficient of variation of `variation`, in `most_runs` at the
-    most, the first repetitions aside.
+    """Probability of failing by subset simulation.
 
-    An answer is too high by up to half the square of a single repetition's coefficient of
-    variation, because its levels are its own samples'. That is part of the error, and where it is
-    most of it the levels are doubled and the repetitions begin anew.
+    It is too high by up to half the square of a single repetition's coefficient of variation,
+    because its
+    levels are its own samples'. That is part of the error, and where it dominates the levels are
+    doubled
+    and the repetitions begin anew.
+
+    Args:
+        model: margins by runs.
+        variation: required coefficient of variation [1].
+        most_runs: largest number of runs; the first repetitions may exceed it.
+        seed: of the samples.
     """
     before, failed, level = model.runs, model.failed, LEVEL
     values, unknown, reached, cost = np.zeros(0), np.zeros(0), np.zeros(0), 0
@@ -108,10 +115,18 @@ def repetitions(
     rng,
     see: Callable[[np.ndarray, np.ndarray], None] = lambda normal, margins: None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """What so many independent simulations with `count` samples a level say, (repetitions,) each
-    [1]: the shares that fail, how much of them are runs that did not reach their end, and the
-    rarest parts that a simulation reached. `see` is shown all samples
-    (samples, variables) with their margins (samples, limits)."""
+    """Independent subset simulations; arrays (repetitions,) [1].
+
+    Args:
+        model: margins by runs or by a surface.
+        number: of repetitions.
+        count: samples of a level.
+        rng: random generator.
+        see: function called with all samples (samples, variables) and margins (samples, limits).
+
+    Returns:
+        Shares that fail; shares of runs that did not reach their end; the rarest parts reached.
+    """
     variables, cuts = len(model.problem.names), model.limit.cut_sets()
     normal = rng.normal(size=(number, count, variables))
     scales = np.ones(len(model.limit.limits()))

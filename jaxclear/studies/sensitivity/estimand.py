@@ -292,10 +292,16 @@ def _weights(distribution, number, scores, leaning):
 
 
 def weights(problem: Problem, direction: Direction, normal: np.ndarray) -> np.ndarray:
-    """Score function of the sample's distribution, (samples,) [1/unit]: the derivative of a mean is
-    the mean of the response times this, and what its ends add.
+    """Score function of the sample's distribution, shape (samples,) [1/unit].
 
-    `normal` (samples, variables): the independent standard normal numbers of the sample.
+    The derivative of a mean is the mean of the response times this, plus what the ends of the
+    distribution
+    add.
+
+    Args:
+        problem: with the joint distribution.
+        direction: variable and number that is differentiated by.
+        normal: independent standard normal numbers of the sample, shape (samples, variables).
     """
     inputs, i = problem.inputs, direction.variable
     scores, leaning = normal[:, i], normal[:, i]

@@ -98,13 +98,26 @@ class Evaluation:
 
 
 def failures(problem: Problem, outcome: Any, responses: dict[str, Any]) -> int:
-    """How many of these samples failed."""
+    """Number of samples that failed.
+
+    Args:
+        problem: says which responses count as answers.
+        outcome: shape (samples,).
+        responses: by name, shape (samples,).
+    """
     return int(np.sum(~successes(problem, outcome, responses)[0]))
 
 
 def done(samples: Samples, evaluation: Evaluation, number: int) -> int | None:
-    """Computes a chunk and keeps it: how many of its samples failed; None where another thread or
-    process is at it."""
+    """Computes and saves a chunk; returns how many of its samples failed.
+
+    None where another thread or process is at it.
+
+    Args:
+        samples: of the campaign, in its folder.
+        evaluation: values and program of each chunk.
+        number: of the chunk.
+    """
     problem = evaluation.program.problem
 
     def load() -> int | None:
@@ -130,8 +143,13 @@ class AbstractWork(ABC):
 
     @abstractmethod
     def compute(self, samples: Samples, numbers: Sequence[int], heard: Heard) -> None:
-        """Computes and keeps the chunks of these numbers, and waits for those that other processes
-        are at."""
+        """Computes and saves chunks, and waits for those at which other processes work.
+
+        Args:
+            samples: of the campaign, in its folder.
+            numbers: of the chunks.
+            heard: function of a number and how many samples failed.
+        """
 
     @abstractmethod
     def replicated(self, plan: Plan, values: np.ndarray) -> SampleResult | None:
@@ -174,8 +192,16 @@ class Workers(AbstractWork):
         self.there = client.submit(_itself, problem, pure=False)
 
     def compute(self, samples, numbers, heard):
-        """As of every work. Raises `RuntimeError` with a sentence where a chunk ends its
-        workers."""
+        """Computes and saves chunks on the workers of Dask.
+
+        Args:
+            samples: of the campaign, in its folder.
+            numbers: of the chunks.
+            heard: function of a number and how many samples failed.
+
+        Raises:
+            RuntimeError: a chunk ends its workers.
+        """
         import distributed
 
         self._joined()

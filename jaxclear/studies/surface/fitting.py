@@ -81,10 +81,17 @@ def fitted(
     degree: int | None = None,
     gradients: dict[str, np.ndarray] | None = None,
 ) -> ResponseSurface:
-    """The surface through runs that are there: `result` are their outcomes at `values` (runs,
-    variables), `gradients` the slopes of each response, (runs, variables). Runs that failed are
-    left out and counted; without a `degree` each response takes that of 1 to 4 which predicts runs
-    best. Raises `ValueError` where too few runs reached their end.
+    """The polynomial surface through runs; failed runs are left out and counted.
+
+    Args:
+        problem: names responses and variables.
+        values: of the variables, shape (runs, variables).
+        result: of the runs.
+        degree: of the polynomials; None: for each response that of 1 to 4 which predicts runs best.
+        gradients: slopes of each response, shape (runs, variables); None: without.
+
+    Raises:
+        ValueError: too few runs reached their end.
     """
     names = problem.response_names
     values, target, slopes, failed = _good(names, values, result, gradients)

@@ -195,7 +195,16 @@ class Drawing(AbstractQuantified):
 
 
 def marker_at(mechanism: Mechanism, on: str, owner: str = "") -> Marker:
-    """The marker at a joint's side, such as "A.parent". Raises `ValueError` where there is none."""
+    """The marker at a joint's side.
+
+    Args:
+        mechanism: with the joints.
+        on: such as "A.parent".
+        owner: line of a drawing in the message; "": the joint is known to exist.
+
+    Raises:
+        ValueError: there is no such joint.
+    """
     joint, _, side = on.rpartition(".")
     if owner:
         check_name(f'joint of line "{owner}"', joint, mechanism.connections, " in this mechanism")
