@@ -355,14 +355,14 @@ def rigid_reports(
     acting = []
     for contact, (normal, *tractions) in zip(contacts, forces, strict=True):
         laws, gap = contact.laws, contact.gap_function
-        pressed = jnp.maximum(gap.indentation, _pressed(laws, normal))
+        pressed = jnp.maximum(gap.indentation, _indentation_under(laws, normal))
         rates = tuple(x.value if change is None else x.at(change) for x in contact.rates)
         values = laws, gap, rates, normal, tuple(tractions), 0.0
         acting.append(ActingContact(*values, pressed=pressed))
     return joint_reports(system, poses, acting)
 
 
-def _pressed(laws: ContactLaws, force: Any) -> Any:
+def _indentation_under(laws: ContactLaws, force: Any) -> Any:
     """Indentation [m] at which the extent of a contact under a normal force [N] is read: its law's,
     where it has one."""
     if not laws.wears:

@@ -84,7 +84,7 @@ def cubic(path: tuple, share: Array) -> tuple[Array, Array]:
     """Hermite's cubic through an indentation and its slope at both ends of a step, `path` (first,
     last, slope at the first, at the last, by the share of the step), and its slope there."""
     first, _, leaving, _ = path
-    bend, twist = _powers(path)
+    bend, twist = _cubic_coefficients(path)
     return (
         first + share * (leaving + share * (bend + share * twist)),
         leaving + share * (2 * bend + 3 * share * twist),
@@ -93,11 +93,11 @@ def cubic(path: tuple, share: Array) -> tuple[Array, Array]:
 
 def bends(path: tuple) -> tuple[Array, Array]:
     """The cubic's second derivatives, by the share of the step, at both its ends."""
-    bend, twist = _powers(path)
+    bend, twist = _cubic_coefficients(path)
     return 2 * bend, 2 * bend + 6 * twist
 
 
-def _powers(path: tuple) -> tuple[Array, Array]:
+def _cubic_coefficients(path: tuple) -> tuple[Array, Array]:
     """The cubic's coefficients of the second and third power."""
     first, last, leaving, arriving = path
     direction = last - first
@@ -203,7 +203,7 @@ def summit(path: tuple) -> Array:
     """The share of the step at which the cubic is highest between its ends; an end, where it rises
     or falls all the way."""
     leaving = path[2]
-    bend, twist = _powers(path)
+    bend, twist = _cubic_coefficients(path)
     root = safe_sqrt(bend * bend - 3 * twist * leaving)
     # The root of the slope at which it falls, by that of two forms which does not cancel.
     falling = jnp.where(
@@ -274,12 +274,12 @@ def put_right(
         amiss = length * (share - jnp.asarray(weights) @ early)
         # Of a touch the time before it is apart, of a release it is in contact.
         amiss = jnp.where(changed, jnp.where(after.depths < 0, amiss, -amiss), 0.0)
-        return _moves(model, now[1], formulation.slips(model, *now), amiss)
+        return _state_corrections(model, now[1], formulation.slips(model, *now), amiss)
 
     return state + apply_if(jnp.any(changed), solve, jnp.zeros_like(now[1]))
 
 
-def _moves(model: Model, state: State, slips: Any, amiss: Any) -> Any:
+def _state_corrections(model: Model, state: State, slips: Any, amiss: Any) -> Any:
     """What entries of the state lack where each contact was closed for a time [s] longer."""
     entries, place, k = [0.0] * len(state), model.layout.memory_start, 0
     memories = unpack_memories(model.layout, model.entries(state))

@@ -98,7 +98,7 @@ def slid(joint: AbstractRubbingJoint, slip: Any, place: sp.Vec, centre: sp.Vec =
     return sp.norm(sp.minus(surface, sp.scale(sp.dot(surface, normal), normal)))
 
 
-def _turn(system: System, motions: tuple, joint: PermanentJoint) -> sp.Mat:
+def _rotation_to_parent(system: System, motions: tuple, joint: PermanentJoint) -> sp.Mat:
     """From the speeds of a ball of the tree to its angular velocity in the parent marker's axes."""
     if system.topology.branches[joint.link].reversed:
         return tuple(tuple(sp.neg(x) for x in row) for row in sp.IDENTITY)
@@ -137,7 +137,7 @@ def sliding_directions(
         return tuple(Direction((OnClosure(closure, pose, each, name),)) for each in wrenches)
     if joint.components == 1:
         return (Direction((OnLink(link, joint.arm),)),)
-    turn = _turn(system, motions, pair)
+    turn = _rotation_to_parent(system, motions, pair)
     parts = [[OnLink(link, sp.mul(joint.arm, x), j) for j, x in enumerate(row)] for row in turn]
     return tuple(Direction(tuple(each)) for each in parts)
 

@@ -47,10 +47,10 @@ def carrying_ends(
         none = (0.0,) * joint.joint.components
         load = carried_load(joint.joint.carrying_ends(*reaction, none))
         return joint.joint.carrying_ends(*reaction, tuple(safe_divide(x, load) for x in friction))
-    return joint.joint.carrying_ends(*reaction, _share(joint, reaction, friction))
+    return joint.joint.carrying_ends(*reaction, _friction_share(joint, reaction, friction))
 
 
-def _share(joint: PermanentJoint, reaction: Reaction, friction: Any) -> Any:
+def _friction_share(joint: PermanentJoint, reaction: Reaction, friction: Any) -> Any:
     """Friction beside the load that it adds to: two turns, and where they lead (Steffensen's
     extrapolation; the load is linear in the share until an end changes its side)."""
     if joint.joint.friction is None:

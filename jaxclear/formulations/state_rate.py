@@ -94,7 +94,7 @@ def passive_rates(
         volume, features = forces.reports[slot.bearing].wear_rates[slot.surface][order]
         out.append(volume)
         out.extend(sp.mul(volume, features[i]) for i in slot.averaged)
-    out.extend((*rubbing.worn, *_of_flanks(system, forces), *pressing, *rubbing.pressing))
+    out.extend((*rubbing.worn, *_wear_of_flanks(system, forces), *pressing, *rubbing.pressing))
     if layout.energies:
         powers = dict(zip(layout.energies, dynamics.powers(system, forces, solution), strict=True))
         powers["input"] = sp.add(powers["input"], rubbing.driven)
@@ -103,7 +103,7 @@ def passive_rates(
     return out
 
 
-def _of_flanks(system: System, forces: Forces) -> list:
+def _wear_of_flanks(system: System, forces: Forces) -> list:
     """Rates of the worn volumes of flanks of play."""
     result = []
     for name, play in flanks_that_wear(system).items():

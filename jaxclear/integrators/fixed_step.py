@@ -126,7 +126,7 @@ def explicit_step(
     nodes, weights = (jnp.asarray(part) for part in STAGES[method])
     end = y + (h * weights[0]) * slope
     if method == "semi_implicit":
-        return h, _kicked(formulation, model, (time, h), y, end), last
+        return h, _finish_semi_implicit(formulation, model, (time, h), y, end), last
 
     def further(carry, stage):
         end, slope = carry
@@ -165,7 +165,7 @@ def _taken_up(formulation: Any, model: Model, now: tuple, motions: tuple, step: 
     return y
 
 
-def _kicked(formulation: Any, model: Model, clock: tuple, y: Any, end: Any) -> Any:
+def _finish_semi_implicit(formulation: Any, model: Model, clock: tuple, y: Any, end: Any) -> Any:
     """The end of a semi-implicit step, whose places move by the speeds at its end, with the
     energies of the balance where they are asked for."""
     h, n = clock[1], model.layout.coordinates
@@ -312,13 +312,13 @@ class FixedStep(AbstractIntegrator):
         if not model.layout.contacts:
             return None, None, None
         contacts = self.formulation.contacts(model, start, state)
-        if self._derived(model) and self.method != "rk4":
+        if self._has_motion_derivative(model) and self.method != "rk4":
             damped = self.formulation.damped(model)
             separate = not_resolved(model.layout.size, len(contacts.depths), damped)
             return contacts, jnp.ones(()), separate
         return contacts, jnp.ones(()), None
 
-    def _derived(self, model):
+    def _has_motion_derivative(self, model):
         return self.through_contacts and model.layout.contacts and not model.discrete
 
     @property
@@ -330,7 +330,7 @@ class FixedStep(AbstractIntegrator):
         # Other methods than rk4 integrate the motion too, and measure it by the gaps of joints.
         return self.beyond_touches(mechanism) if self.method == "rk4" else FLANKS
 
-    def _stepped(self, model, so_far):
+    def _make_step(self, model, so_far):
         """A step behind these peaks, of ((time [s], lengths...), state, last, met)."""
         of_model, rest = packed(model)
         of_others, others = eqx.partition((self, constant(so_far)), eqx.is_array)
@@ -354,14 +354,14 @@ class FixedStep(AbstractIntegrator):
                 forces = part.formulation.normal_forces(model, end, after)
             return risen(peaks, after.depths, forces)
 
-        if self._derived(model) and self.method != "rk4":
+        if self._has_motion_derivative(model) and self.method != "rk4":
             return self._step_resolved(rest, arrays, plain, look_at)
         length = lambda clock, *look_at: chosen_length(*clock[1:])(*look_at)
         through = through_touches(self.formulation, rest, plain, length, look_at)
 
         def step(clock, y, last, peaks):
             before = None if last[0] is None else last[:2]
-            if self._derived(model):
+            if self._has_motion_derivative(model):
                 h, end, now, peaks = through(arrays, clock, y, before, peaks)
             else:
                 h, end, now = plain(arrays, clock, y, before)
@@ -371,7 +371,7 @@ class FixedStep(AbstractIntegrator):
         return step
 
     def _step_resolved(self, rest, arrays, plain, look_at):
-        """As `_stepped`, with the derivative of the motion beside the step."""
+        """As `_make_step`, with the derivative of the motion beside the step."""
 
         def alone(arrays, clock, y, last, peaks):
             _, end, now = plain(arrays, (*clock, None), y, last)
@@ -386,11 +386,11 @@ class FixedStep(AbstractIntegrator):
 
         return step
 
-    def _trusted(self, model, end, peaks, watch, last):
+    def _trust_results(self, model, end, peaks, watch, last):
         """All that was found, where its derivative can be trusted; rates at events have none."""
-        if self._derived(model) and self.method != "rk4":
+        if self._has_motion_derivative(model) and self.method != "rk4":
             return trust_resolved(end, peaks, watch, last[2])
-        if not self._derived(model):
+        if not self._has_motion_derivative(model):
             return end, peaks, watch
         if watch.events is not None:
             rates = without_derivative(watch.events.rates)
@@ -402,18 +402,18 @@ class FixedStep(AbstractIntegrator):
         if self.contact_steps is not None:
             return self._steps_that_meet_contacts(model, interval, h, state, warm_start)
 
-        step = self._stepped(model, interval.peaks)
+        step = self._make_step(model, interval.peaks)
 
         def turn(carry):
             index, start, last, peaks, watch = carry
             time = interval.start + index * h
             _, y, now, peaks = step((time, h, None), start, last, peaks)
-            if not (self._derived(model) and self.method != "rk4"):
+            if not (self._has_motion_derivative(model) and self.method != "rk4"):
                 y = closed(model, time + h, y, h)
             watch = watched(watch, model, time, h, start, y)
             return index + 1, y, now, peaks, watch
 
-        if self._derived(model) and self.method != "rk4":
+        if self._has_motion_derivative(model) and self.method != "rk4":
             *starts, separate = warm_start
             warm_start = *starts, so_far(separate)
         watch = watch_from(model, interval.start, state)
@@ -425,12 +425,12 @@ class FixedStep(AbstractIntegrator):
             scanned = lambda index, carry: turn((index, *carry))[1:]
             end, last, peaks, watch = counted(scanned, self.steps_per_save, first[1:])
         results = end, self._all_peaks(model, peaks, interval.peaks), watch
-        end, peaks, watch = self._trusted(model, *results, last)
+        end, peaks, watch = self._trust_results(model, *results, last)
         return arrived(end, steps, last, peaks, watch)
 
     def _steps_that_meet_contacts(self, model, interval, longest, state, warm_start):
         """Every sample at its own pace."""
-        stop, step = interval.stop, self._stepped(model, interval.peaks)
+        stop, step = interval.stop, self._make_step(model, interval.peaks)
         shortest = resolved(longest / self.contact_steps, interval)
 
         def one(carry):
@@ -447,7 +447,7 @@ class FixedStep(AbstractIntegrator):
         first = (interval.start, jnp.zeros((), int), state, warm_start, peaks, watch)
         _, steps, end, last, peaks, watch = while_loop(lambda carry: carry[0] < stop, one, first)
         outputs = end, self._all_peaks(model, peaks, interval.peaks), watch
-        end, peaks, watch = self._trusted(model, *outputs, last)
+        end, peaks, watch = self._trust_results(model, *outputs, last)
         return arrived(end, steps, last, peaks, watch)
 
     def _first_peaks(self, model, last, so_far):
@@ -457,9 +457,9 @@ class FixedStep(AbstractIntegrator):
             return None
         depths = last[0].depths
         first_depths = no_peaks(depths, self.formulation.damped(model))
-        return since(so_far, first_depths) if self._derived(model) else first_depths
+        return since(so_far, first_depths) if self._has_motion_derivative(model) else first_depths
 
     def _all_peaks(self, model, peaks, so_far):
         """What was met in an interval, its peaks with the derivatives of those of the run."""
-        plain_step = peaks is None or self._derived(model)
+        plain_step = peaks is None or self._has_motion_derivative(model)
         return peaks if plain_step else among(so_far, peaks)

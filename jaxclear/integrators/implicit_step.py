@@ -126,15 +126,15 @@ class ImplicitStep(AbstractIntegrator):
             state: at the start, shape (n,).
         """
         last = self.formulation.warm_start(model, start, state)
-        last = self._fixed(model, start, state, last)
-        if not self._derived(model):
+        last = self._with_held_contacts(model, start, state, last)
+        if not self._has_motion_derivative(model):
             return last, None
         separate = not_resolved(
             model.layout.size, model.layout.joint_contacts, damped(model.system)
         )
         return last, separate
 
-    def _derived(self, model):
+    def _has_motion_derivative(self, model):
         wet = {film.connection for film in films_of(model.system).values()}
         dry = not wet.issuperset(model.system.bearings)
         return self.through_contacts and dry and not model.discrete
@@ -143,7 +143,7 @@ class ImplicitStep(AbstractIntegrator):
     def through_contacts(self):
         return self.steps_per_save is None
 
-    def _stepped(self, model):
+    def _make_step(self, model):
         """A step, as a function of (its start and length [s], state, last, met)."""
         of_model, rest = packed(model)
         arrays_of, others = eqx.partition(self, eqx.is_array)
@@ -160,7 +160,7 @@ class ImplicitStep(AbstractIntegrator):
             forces = now[-model.layout.joint_contacts :] if damps else None
             return end, now, risen(peaks, now[depths], forces)
 
-        if not self._derived(model):
+        if not self._has_motion_derivative(model):
 
             def alone(clock, y, last, peaks):
                 end, now, peaks = plain(arrays, clock, y, last[0], peaks)
@@ -175,33 +175,33 @@ class ImplicitStep(AbstractIntegrator):
 
         return derived
 
-    def _trusted(self, model, end, peaks, watch, last):
+    def _trust_results(self, model, end, peaks, watch, last):
         """All that was found, where its derivative can be trusted; events have none."""
         split = last[1]
         return (end, peaks, watch) if split is None else trust_resolved(end, peaks, watch, split)
 
-    def _fixed(self, model, start, state, last):
+    def _with_held_contacts(self, model, start, state, last):
         """A warm start that knows what contacts hold where a run begins."""
         if not model.layout.joint_contacts:
             return last
         free, caused = self.formulation.caused_by_contact(model, start, state)
-        return last.at[self._surplus(model, last)].set(
+        return last.at[self._surplus_slots(model, last)].set(
             sp.stack(surplus(self._bias, unstacked(free), unstacked(caused)))
         )
 
-    def _surplus(self, model, last):
+    def _surplus_slots(self, model, last):
         """Where a warm start holds its surplus."""
         end = len(last) - (model.layout.joint_contacts if damped(model.system) else 0)
         return slice(end - model.layout.speeds, end)
 
-    def _sped_up(self, model, state, last, length):
+    def _with_surplus_speeds(self, model, state, last, length):
         """A state whose speeds are, at saving times, those with which places change: within steps
         of this length [s] they lack what contacts have of numerical dissipation
         (`midpoint_step`)."""
         if not model.layout.joint_contacts:
             return state
         speeds = slice(model.layout.coordinates, model.layout.memory_start)
-        return state.at[speeds].add(length * constant(last[self._surplus(model, last)]))
+        return state.at[speeds].add(length * constant(last[self._surplus_slots(model, last)]))
 
     def evaluations(self, mechanism):
         """The middle of a step, and the iterations on its contacts."""
@@ -222,16 +222,16 @@ class ImplicitStep(AbstractIntegrator):
 
     def advance(self, model, interval, state, warm_start):
         steps, h = divide(interval, self.step, self.steps_per_save)
-        step, contacts = self._stepped(model), model.layout.joint_contacts
+        step, contacts = self._make_step(model), model.layout.joint_contacts
         last, separate = warm_start
-        state = self._sped_up(model, state, last, -h)
+        state = self._with_surplus_speeds(model, state, last, -h)
         highest = None
         if contacts:
             last = last.at[_depths(model)].set(_worn_deeper(model, interval.start, state, last))
             first_depths = positive_part(last[_depths(model)])
             peaks = no_peaks(first_depths, damped(model.system))._replace(depths=first_depths)
-            derived = self._derived(model)
-            highest = since(_of_joints(model, interval.peaks), peaks) if derived else peaks
+            derived = self._has_motion_derivative(model)
+            highest = since(_peaks_of_joints(model, interval.peaks), peaks) if derived else peaks
 
         def one(index, state, carried):
             last, peaks, watch = carried
@@ -246,10 +246,10 @@ class ImplicitStep(AbstractIntegrator):
         else:
             turn = lambda index, carry: one(index, *carry)
             end, (last, highest, watch) = counted(turn, self.steps_per_save, (state, carried))
-        if contacts and not self._derived(model):
-            highest = among(_of_joints(model, interval.peaks), highest)
-        end = self._sped_up(model, end, last[0], h)
-        end, highest, watch = self._trusted(model, end, highest, watch, last)
+        if contacts and not self._has_motion_derivative(model):
+            highest = among(_peaks_of_joints(model, interval.peaks), highest)
+        end = self._with_surplus_speeds(model, end, last[0], h)
+        end, highest, watch = self._trust_results(model, end, highest, watch, last)
         return arrived(end, steps, last, highest, watch)
 
 
@@ -270,7 +270,7 @@ def _depths(model: Model) -> slice:
     return slice(first, first + model.layout.joint_contacts)
 
 
-def _of_joints(model: Model, peaks: Peaks | None) -> Peaks | None:
+def _peaks_of_joints(model: Model, peaks: Peaks | None) -> Peaks | None:
     """Of the peaks those of joints: steps do not look at the flanks of play."""
     if peaks is None or not model.layout.plays:
         return peaks

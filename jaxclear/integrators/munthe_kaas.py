@@ -94,7 +94,7 @@ class StateGroup(AbstractGroup):
     def moved(self, y, increment):
         return self._each(
             lambda span: _coordinates(y, span) + _increments(increment, span),
-            lambda joint, span: joint.moved(_of_q(y, span), _of_v(increment, span)),
+            lambda joint, span: joint.moved(_coordinates_of(y, span), _speeds_of(increment, span)),
         )
 
     def bracket(self, a, b):
@@ -102,13 +102,13 @@ class StateGroup(AbstractGroup):
             return None
         return self._each(
             lambda span: jnp.zeros(span.width),
-            lambda joint, span: joint.bracket(_of_v(a, span), _of_v(b, span)),
+            lambda joint, span: joint.bracket(_speeds_of(a, span), _speeds_of(b, span)),
         )
 
     def tangent(self, y, increment):
         return self._each(
             lambda span: _increments(increment, span),
-            lambda joint, span: joint.rate(_of_q(y, span), _of_v(increment, span)),
+            lambda joint, span: joint.rate(_coordinates_of(y, span), _speeds_of(increment, span)),
         )
 
     def rates(self, y: Float[Array, " n"], rates: Float[Array, " n"]) -> Float[Array, " m"]:
@@ -136,11 +136,11 @@ def _increments(u, span):
     return u[span.increments : span.increments + span.width]
 
 
-def _of_q(y, span):
+def _coordinates_of(y, span):
     return _entries(y, span.coordinates, span.size)
 
 
-def _of_v(u, span):
+def _speeds_of(u, span):
     return _entries(u, span.increments, span.width)
 
 
@@ -326,9 +326,9 @@ class MuntheKaas(diffrax.AbstractAdaptiveSolver):
         if concrete(made_jump) != 0:
             first = jax.lax.cond(made_jump, lambda: rate(0.0, y0), lambda: solver_state)
         slopes, y1, last = _stages(group, rate, table, range(1, len(table.nodes)), h, y0, first)
-        error = group.tangent(y1, h * _combined(table.error, slopes))
+        error = group.tangent(y1, h * _weigh_slopes(table.error, slopes))
         ends = {
-            "increment": h * _combined(table.matrix[-1], slopes),
+            "increment": h * _weigh_slopes(table.matrix[-1], slopes),
             "start": h * slopes[0],
             "end": h * slopes[-1],
         }
@@ -360,7 +360,7 @@ def fixed_step(
         return group.rates(y, rate_of(time + share * h, y))
 
     slopes, _, _ = _stages(group, rate, table, range(len(table.nodes) - 1), h, y, unknown)
-    return group.moved(y, h * _combined(table.matrix[-1], slopes))
+    return group.moved(y, h * _weigh_slopes(table.matrix[-1], slopes))
 
 
 def _stages(group, rate, table, which, h, y, first):
@@ -370,21 +370,21 @@ def _stages(group, rate, table, which, h, y, first):
 
     def stage(carry, i):
         slopes, _, _ = carry
-        increment = h * _combined(matrix[i], slopes)
+        increment = h * _weigh_slopes(matrix[i], slopes)
         moved = group.moved(y, increment)
         rate_here = rate(nodes[i], moved)
-        slope = _pulled_back(group, rows - 1, increment, rate_here)
+        slope = _pull_back_rate(group, rows - 1, increment, rate_here)
         return (jnp.where((jnp.arange(rows) == i)[:, None], slope, slopes), moved, rate_here), None
 
     slopes = jnp.concatenate([first[None], jnp.zeros((rows - 1, len(first)))])
     return jax.lax.scan(stage, (slopes, y, first), np.array(which))[0]
 
 
-def _combined(weights, slopes):
+def _weigh_slopes(weights, slopes):
     return jnp.sum(jnp.asarray(weights)[:, None] * slopes, 0)
 
 
-def _pulled_back(group, order, increment, rate):
+def _pull_back_rate(group, order, increment, rate):
     """Rate of the increment from the rate of the state, to the terms that the order needs."""
     if order < 3:
         return rate

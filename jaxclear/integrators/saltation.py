@@ -196,7 +196,7 @@ def equations(formulation: CompliantContact, rest: Any, plain: Callable) -> Equa
                 slopes,
                 *moving_with(remembering[0], (growth, events)),
             ),
-            functools.partial(_behind, model),
+            functools.partial(_differentiate_end, model),
         ),
     )
 
@@ -220,7 +220,7 @@ def _at_moving_time(model: Motion, numbers: tuple, tangents: tuple) -> tuple:
         shift = _shift(model, step, here, d_in, (flow, slopes))
         state = state + shift * flow
         d_in = d_arr, moved(d_time) + shift, state
-        return state, _slopes(model, step.shares, here, d_in, slopes), shift
+        return state, _differentiate_slopes(model, step.shares, here, d_in, slopes), shift
 
     tangents_in = *jax.tree.map(moved, (state, slopes)), jnp.zeros(())
     return apply_if(jnp.any(step.shares > 0), moving, tangents_in)
@@ -256,7 +256,7 @@ def _shift(model: Motion, step: Step, here: tuple, d_in: tuple, slopes: tuple) -
     return -safe_divide(jnp.sum(jnp.where(nearest, jnp.stack(late), 0.0)), count)
 
 
-def _behind(model: Motion, numbers: tuple, tangents: tuple) -> tuple:
+def _differentiate_end(model: Motion, numbers: tuple, tangents: tuple) -> tuple:
     """The derivatives of (state, slopes, growth, events) at the end of a step."""
     step, (time, y), *_, events = numbers
     (d_arr, *_), (d_time, _), slopes, shift, *values = tangents
@@ -271,8 +271,8 @@ def _behind(model: Motion, numbers: tuple, tangents: tuple) -> tuple:
             state = state - moved(shift) * model.rates(arrays, before, time, y)
         d_in = d_arr, d_time, state
         state, *moves = cross(model, here, d_in, (before, after), events is not None)
-        grown = _grown(growth, jnp.max(jnp.where(after > before, abs(moves[0]), 0.0)))
-        slopes = _slopes(model, after, here, (d_arr, d_time, state), slopes)
+        grown = _growth_after(growth, jnp.max(jnp.where(after > before, abs(moves[0]), 0.0)))
+        slopes = _differentiate_slopes(model, after, here, (d_arr, d_time, state), slopes)
         return state, slopes, grown, _events_after(noted, events, before != after, moves)
 
     changed = before != after
@@ -359,7 +359,7 @@ def _events_after(noted: Any, events: Any, happened: Any, d_in: tuple) -> Any:
     return noted._replace(times=times, rates=rates)
 
 
-def _grown(growth: Array, late: Scalar) -> Array:
+def _growth_after(growth: Array, late: Scalar) -> Array:
     """After touches of which one comes that much later (0: none does)."""
     touched, first, most = growth[0], growth[1], growth[2]
     touched = touched + jnp.where(late > 0, 1.0, 0.0)
@@ -367,7 +367,7 @@ def _grown(growth: Array, late: Scalar) -> Array:
     return jnp.stack([touched, first, jnp.maximum(most, late)])
 
 
-def _slopes(model: Motion, shares: Any, here: tuple, d_in: tuple, slopes: Any) -> Any:
+def _differentiate_slopes(model: Motion, shares: Any, here: tuple, d_in: tuple, slopes: Any) -> Any:
     """The derivatives of slopes at (arrays, time, state) with these derivatives."""
     rate = lambda arrays, time, y: model.rates(arrays, shares, time, y)
     slope = pushed(rate, here, d_in)[1]
@@ -437,7 +437,7 @@ def through_touches(
     def moving(numbers, tangents):
         arrays, clock, y, last, peaks = numbers
         d_arr, d_clock, state, d_last, d_peaks = tangents
-        remembering = _remembering(formulation, rest, motion)
+        remembering = _remember_contacts(formulation, rest, motion)
         contacts, aware, state = remembering(
             (arrays[0], clock[0], y, last), (d_arr[0], d_clock[0], state, d_last)
         )
@@ -454,7 +454,7 @@ def through_touches(
         d_end = jnp.where(changed, separated, d_end)
         stop = d_clock[0] if times[1] is None else moved(d_clock[0]) + moved(longer)
         d_in = d_arr[0], (d_clock[0], state), (stop, d_end), d_peaks
-        higher = _higher(motion, start, (end, peaks, arrays[2]), d_in)
+        higher = _differentiate_peaks(motion, start, (end, peaks, arrays[2]), d_in)
         results = h, end, now, view(arrays, end, peaks, (last, now))
         return results, (longer, d_end, d_now, higher)
 
@@ -462,7 +462,7 @@ def through_touches(
     return step
 
 
-def _higher(motion: Any, first: Now, ended: tuple, d_in: tuple) -> Any:
+def _differentiate_peaks(motion: Any, first: Now, ended: tuple, d_in: tuple) -> Any:
     """The derivative of the peaks behind a step. `ended`: its end, the peaks until its start, and
     in the run before its interval; `d_in`: derivatives of (arrays, (time, state) at its start, at
     its end, peaks)."""
@@ -525,7 +525,7 @@ def moves(tree: Any) -> bool:
     return any(not isinstance(each, SymbolicZero) for each in jax.tree.leaves(tree))
 
 
-def _remembering(formulation: CompliantContact, rest: Any, motion: Any) -> Callable:
+def _remember_contacts(formulation: CompliantContact, rest: Any, motion: Any) -> Callable:
     """The contacts at the start of a step, the state with its impact speeds there, and its
     derivative, from numbers and tangents of (arrays, time, state, last): the derivative of a speed
     that was taken within the last step is known since then."""

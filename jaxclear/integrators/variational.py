@@ -252,11 +252,11 @@ def followed(motion: Any, remember: Callable, clock: tuple, d_in: tuple, request
         return (part.done < total * (1 - SLIVER)) & (part.turns < most)
 
     return jax.lax.while_loop(
-        unfinished, lambda part: _further(motion, remember, clock, d_arr, part), first
+        unfinished, lambda part: _advance_part(motion, remember, clock, d_arr, part), first
     )
 
 
-def _further(motion: Any, remember: Callable, clock: tuple, d_arr: Any, part: Part) -> Part:
+def _advance_part(motion: Any, remember: Callable, clock: tuple, d_arr: Any, part: Part) -> Part:
     """A part further, or how long it may be."""
     arrays, start, total = clock
     time = start + part.done
@@ -264,17 +264,17 @@ def _further(motion: Any, remember: Callable, clock: tuple, d_arr: Any, part: Pa
     y, acting = remember(part.y, contacts), closed(contacts)
     remaining = total - part.done
     at_start = Now(arrays, time, y, remaining, contacts)
-    resolved, unresolved = _resolved(motion, at_start, acting, (total, remaining))
+    resolved, unresolved = _length_of_part(motion, at_start, acting, (total, remaining))
     resolved = jnp.where(jnp.any(acting > 0), resolved, remaining)
     length = jnp.minimum(jnp.minimum(resolved, part.limit), remaining)
     trial = _through(motion, at_start._replace(length=length), acting, (d_arr, part.d_state))
     landing = jnp.any(part.event > 0)
-    after, crossed, share = trial.contacts, *_crossed(trial)
+    after, crossed, share = trial.contacts, *_crossings_in_part(trial)
     hit = landing & ((part.event > 0) | (closed(after) != acting))
     late = jnp.where(hit, -safe_divide(after.depths, after.rates), -jnp.inf)
     late = jnp.where(landing, jnp.max(late), (share - 1) * length)
     there = jnp.where(landing, abs(late) <= AT_TOUCH * total, ~jnp.any(crossed))
-    fine = _at_end(motion, trial, total, d_arr, (hit, part))
+    fine = _advance_to_change(motion, trial, total, d_arr, (hit, part))
     fine = fine._replace(done=jnp.where(length < remaining, part.done + length, total) + fine.done)
     # What would pass the end after all touches no more.
     again = (late + length < remaining) & (length > 0)
@@ -294,7 +294,7 @@ def _through(motion: Any, start: Now, acting: Any, d_in: tuple) -> _Substep:
     return _Substep(start, acting, end, state, contacts)
 
 
-def _crossed(sub: _Substep) -> tuple[Any, Any]:
+def _crossings_in_part(sub: _Substep) -> tuple[Any, Any]:
     """Which contacts touch or part within a part, and at which share of it the first does."""
     start, after, length = sub.start, sub.contacts, sub.start.length
     outwards = jnp.where(sub.acting > 0, -1.0, 1.0)
@@ -311,7 +311,7 @@ def _crossed(sub: _Substep) -> tuple[Any, Any]:
     return crossed & (shares <= share), share
 
 
-def _at_end(motion: Any, sub: _Substep, total: Any, d_arr: Any, state_of: tuple) -> Part:
+def _advance_to_change(motion: Any, sub: _Substep, total: Any, d_arr: Any, state_of: tuple) -> Part:
     """Behind the end of a part, at which contacts are `hit`; `done` is by how much later [s]."""
     (start, acting, end, state, after), (hit, part) = sub, state_of
     later = start.time + start.length
@@ -332,7 +332,7 @@ def _at_end(motion: Any, sub: _Substep, total: Any, d_arr: Any, state_of: tuple)
     return Part(late, part.turns, y, state, highest, *ahead)
 
 
-def _resolved(motion: Any, start: Now, acting: Any, clock: tuple) -> tuple[Any, Any]:
+def _length_of_part(motion: Any, start: Now, acting: Any, clock: tuple) -> tuple[Any, Any]:
     """How long a part may be [s], and whether its contacts cannot be followed; `clock`: the whole
     time, and what is left of it [s]. Contacts are looked at where it begins; those that have closed
     just now also where the time would end without them."""

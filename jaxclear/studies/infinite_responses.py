@@ -58,7 +58,7 @@ def why_unanswered(problem: Problem, outcome: Any, ended: Any) -> str:
 
 def infinite_messages(problem: Problem, responses: Mapping[str, Any]) -> list[str]:
     """A sentence for each response that is infinite in some samples."""
-    texts = {name: _words(problem, name, values) for name, values in responses.items()}
+    texts = {name: _describe_infinite(problem, name, values) for name, values in responses.items()}
     return [f'"{name}" {words}.' for name, words in texts.items() if words]
 
 
@@ -74,7 +74,7 @@ def refuse_infinite(
         instead: clause that says what would be right.
     """
     for name, values in responses.items():
-        words = _words(problem, name, values)
+        words = _describe_infinite(problem, name, values)
         if words:
             raise ValueError(f'"{name}" {words}: there is no {what} of it; {instead}.')
 
@@ -144,7 +144,7 @@ def bounded(problem: Problem, name: str, values: np.ndarray, levels: Sequence[An
     return np.minimum(values, most) if np.isfinite(most) else replace_infinite(values, *levels)
 
 
-def _words(problem: Problem, name: str, values: Any) -> str:
+def _describe_infinite(problem: Problem, name: str, values: Any) -> str:
     """In how many samples a response is infinite, and what that says; "" for none."""
     count = int(np.isinf(np.asarray(values, float)).sum())
     why = problem.description.responses[name].infinite

@@ -78,22 +78,22 @@ class PositionExperiment(AbstractExperiment):
             starts: Any = self.starts
             others = self.method.reversed.each(self.scene, self.position, starts)
             self.others = others if bool(jnp.all(jnp.isfinite(others.change))) else None
-        check_answers(response, lambda: self._at(mechanism))
+        check_answers(response, lambda: self._positions_of(mechanism))
 
     @property
     def subject(self):
         return self.mechanism
 
-    def _at(self, mechanism: Mechanism) -> Positions:
+    def _positions_of(self, mechanism: Mechanism) -> Positions:
         scene = self.scene.of(mechanism)
         return both(scene, self.position, self.starts, self.method, self.reverse_loads, self.others)
 
-    def _positions(self, setting: Setting) -> Positions:
+    def _positions_of_setting(self, setting: Setting) -> Positions:
         """The mechanism of one setting at all positions; pure."""
-        return self._at(setting(self.mechanism))
+        return self._positions_of(setting(self.mechanism))
 
     def evaluate(self, setting, *, discrete_derivatives=False):
-        positions = self._positions(setting)
+        positions = self._positions_of_setting(setting)
         ok = jnp.all(positions.is_solved)
         if positions.other is not None:
             ok &= jnp.all(positions.other.is_solved)
@@ -113,7 +113,7 @@ class PositionExperiment(AbstractExperiment):
             index: of the sample in its study.
             chunk: samples of a chunk of the study.
         """
-        return sample_of_chunk(self._positions, setting, index, chunk)
+        return sample_of_chunk(self._positions_of_setting, setting, index, chunk)
 
     def describe(self):
         many = len(self.position)

@@ -74,8 +74,8 @@ class Replicas(eqx.Module):
     def accuracy_warnings(self, problem: Problem, *responses: str) -> tuple[str, ...]:
         """A sentence for each of these responses whose mean is off by more than is promised, and
         one for replicas that failed."""
-        doubts = [_beyond(problem, self, name) for name in responses]
-        return tuple(filter(None, [*doubts, _failures(problem, self)]))
+        doubts = [_bias_sentence(problem, self, name) for name in responses]
+        return tuple(filter(None, [*doubts, _failure_sentence(problem, self)]))
 
 
 def replicas_of(
@@ -179,7 +179,7 @@ def unverified(problem: Problem, replicas: Replicas | None) -> str:
     return "Not verified: there are no companion runs, so the error by the steps is not known."
 
 
-def _beyond(problem: Problem, replicas: Replicas, response: str) -> str:
+def _bias_sentence(problem: Problem, replicas: Replicas, response: str) -> str:
     bias, uncertainty = replicas.bias(response)
     values, _ = replicas.pairs(response)
     size = float(np.sqrt(np.mean(values**2))) if len(values) else np.nan
@@ -194,7 +194,7 @@ def _beyond(problem: Problem, replicas: Replicas, response: str) -> str:
     )
 
 
-def _failures(problem: Problem, replicas: Replicas) -> str:
+def _failure_sentence(problem: Problem, replicas: Replicas) -> str:
     failed = replicas.failed
     if not len(failed):
         return ""

@@ -67,7 +67,7 @@ def concern(
         among: mask or indices of the runs that count.
     """
     codes = concerning(problem, response, codes_of(checks, len(among)))[among]
-    return _share(codes), _sentence(codes)
+    return _share_of_warned(codes), _warning_sentence(codes)
 
 
 def warned_share(problem: Problem, response: str, codes: np.ndarray) -> float:
@@ -78,7 +78,7 @@ def warned_share(problem: Problem, response: str, codes: np.ndarray) -> float:
         response: its name.
         codes: bits of the warnings of each run, shape (runs,).
     """
-    return _share(concerning(problem, response, codes))
+    return _share_of_warned(concerning(problem, response, codes))
 
 
 def sentences(
@@ -94,7 +94,7 @@ def sentences(
     by_sentence: dict[str, list[str]] = {}
     names = problem.response_names
     for name in names if responses is None else [n for n in names if n in responses]:
-        sentence = _sentence(concerning(problem, name, codes))
+        sentence = _warning_sentence(concerning(problem, name, codes))
         if sentence:
             by_sentence.setdefault(sentence, []).append(name)
     return tuple(f"{listed(names)}: {sentence}" for sentence, names in by_sentence.items())
@@ -111,11 +111,11 @@ def sentences_among(problem: Problem, checks: Checks, among: np.ndarray) -> tupl
     return sentences(problem, codes_of(checks, len(among))[among])
 
 
-def _share(codes: np.ndarray) -> float:
+def _share_of_warned(codes: np.ndarray) -> float:
     return float(np.mean(codes != 0)) if len(codes) else 0.0
 
 
-def _sentence(codes: np.ndarray) -> str:
+def _warning_sentence(codes: np.ndarray) -> str:
     kinds = by_kind(codes)
     return f"{np.sum(codes != 0)} of {len(codes)} runs warn ({in_words(kinds)})." if kinds else ""
 

@@ -141,7 +141,7 @@ class Drawing:
             begin, end = -((i - first) // parts), -((i - last) // parts)
             if end > begin:
                 shares[begin * parts + i - first :: parts] = self._shares(i, begin, end)
-        return _values(self.inputs, normal_scores(shares), first)
+        return _values_of_normal(self.inputs, normal_scores(shares), first)
 
     def _shares(self, scrambling: int, first: int, last: int) -> np.ndarray:
         """Points of one scrambling, from the first number up to the last."""
@@ -154,7 +154,7 @@ class Drawing:
         return rng.random((last - first, self.count))
 
 
-def _values(inputs: Inputs, normal: np.ndarray, first: int) -> np.ndarray:
+def _values_of_normal(inputs: Inputs, normal: np.ndarray, first: int) -> np.ndarray:
     """Values of the samples from number `first` on, from independent standard normal numbers [1].
     Each is computed at the same place of the same block, whatever is drawn with it."""
     rows, count = normal.shape

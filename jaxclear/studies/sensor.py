@@ -112,7 +112,7 @@ class AbstractSensor(AbstractSignal):
         """
         readings = np.atleast_2d(np.asarray(signals, float))
         runs, samples = readings.shape
-        draw = lambda value: _drawn(value, runs, rng)
+        draw = lambda value: _draw_number(value, runs, rng)
         cut = None if self.bandwidth is None else draw(self.bandwidth)
         readings = _filter_each(readings, rate, cut, draw(self.delay), draw(self.gain))
         if self.sampling is not None:
@@ -125,7 +125,7 @@ class AbstractSensor(AbstractSignal):
         return self.rounded(readings)
 
 
-def _drawn(value: Any, runs: int, rng: np.random.Generator) -> np.ndarray:
+def _draw_number(value: Any, runs: int, rng: np.random.Generator) -> np.ndarray:
     """A number for each run."""
     if not isinstance(value, Dimension):
         return np.full(runs, float(value))
@@ -154,10 +154,10 @@ def filter_signal(signal: Array, rate: Scalar, bandwidth: Any, delay: Any, gain:
             return after, after
 
         signal = jax.lax.scan(mixed, signal[0], signal)[1]
-    return gain * _read(signal, jnp.arange(len(signal)) - delay * rate)
+    return gain * _interpolate_signal(signal, jnp.arange(len(signal)) - delay * rate)
 
 
-def _read(signal: Array, at: Array) -> Array:
+def _interpolate_signal(signal: Array, at: Array) -> Array:
     """A signal at fractions of its samples, along straight lines between these."""
     at = jnp.clip(at, 0, len(signal) - 1)
     first = jnp.floor(at).astype(int)
@@ -168,7 +168,7 @@ def _read(signal: Array, at: Array) -> Array:
 
 
 _filter_each = jax.jit(jax.vmap(filter_signal, (0, None, 0, 0, 0)))
-_read_each = jax.jit(jax.vmap(_read))
+_read_each = jax.jit(jax.vmap(_interpolate_signal))
 
 
 class Accelerometer(AbstractSensor):

@@ -104,13 +104,13 @@ def cheapest(search: Search, starts: list[np.ndarray]) -> Candidate:
     """The best that SLSQP finds from several starts."""
     best = None
     for start in starts:
-        one = _from_one(search, np.clip(start, search.low, search.high))
+        one = _optimise_from(search, np.clip(start, search.low, search.high))
         best = one if best is None or one.better(best) else best
     assert best is not None
     return best
 
 
-def _from_one(search: Search, start: np.ndarray) -> Candidate:
+def _optimise_from(search: Search, start: np.ndarray) -> Candidate:
     cache: dict[bytes, tuple] = {}
 
     def at(place):

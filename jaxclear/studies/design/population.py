@@ -55,7 +55,7 @@ def points(
     Source: Veach & Guibas 1995, SIGGRAPH 95, 419, doi:10.1145/218380.218498.
     """
     if not shifts and matched:
-        return Points(_matched(variables, samples, seed), np.full(samples, 1.0 / samples))
+        return Points(_mirrored_points(variables, samples, seed), np.full(samples, 1.0 / samples))
     centres = [np.zeros(variables), *shifts]
     parts = []
     for number, centre in enumerate(centres):
@@ -86,7 +86,7 @@ def in_groups(
     return normal, weights, np.repeat(np.arange(GROUPS), len(normal) // GROUPS)
 
 
-def _matched(variables: int, samples: int, seed: int) -> np.ndarray:
+def _mirrored_points(variables: int, samples: int, seed: int) -> np.ndarray:
     """Points and their mirror images, stretched until their covariance is the unit matrix."""
     half = scrambled_normal(-(-samples // 2), variables, np.random.default_rng([seed, 0]))
     normal = np.concatenate([half, -half])[:samples]

@@ -70,7 +70,7 @@ class Freedom(eqx.Module):
         """(nominal values, tolerances) of all variables."""
         numbers = {NOMINAL: jnp.asarray(self.start), TOLERANCE: jnp.asarray(self.usual)}
         for i, choice in enumerate(self.choices):
-            value = _between(choice, place[i])
+            value = _number_at(choice, place[i])
             columns = np.array((choice.variable, *choice.others))
             numbers[choice.kind] = numbers[choice.kind].at[columns].set(value)
             if choice.nominals:
@@ -105,7 +105,7 @@ class Freedom(eqx.Module):
         return [float(_place(choice, number)) for number in choice.offered]
 
 
-def _between(choice, place):
+def _number_at(choice, place):
     if choice.kind == NOMINAL:
         return choice.low + place * (choice.high - choice.low)
     return choice.low * jnp.exp(place * np.log(choice.high / choice.low))

@@ -178,7 +178,7 @@ class Design(AbstractAnswer):
                 self._crossing(i) for i in np.flatnonzero(~self._satisfied) if i not in self._beyond
             ]
             parts += [f"It is not known to hold, by runs in doubt. {d}" for d in self._in_doubt]
-        parts += [self._priced(i) for i in np.flatnonzero(self.prices > 0)]
+        parts += [self._price_sentence(i) for i in np.flatnonzero(self.prices > 0)]
         if self.failed:
             parts.append(f"{self.failed} of {self.runs} runs failed and are left out.")
         parts += self.endless
@@ -198,7 +198,7 @@ class Design(AbstractAnswer):
         return self.limits[i].unit(units[self.limits[i].response])
 
     def _broken_text(self):
-        broken = [self._broken(i) for i in self._beyond]
+        broken = [self._broken_sentence(i) for i in self._beyond]
         return "; ".join([*broken, self._failure_text()] if self._too_many_failed else broken)
 
     def _crossing(self, i):
@@ -209,7 +209,7 @@ class Design(AbstractAnswer):
             "(DesignSettings(check=...))."
         )
 
-    def _broken(self, i):
+    def _broken_sentence(self, i):
         limit, number = self.limits[i], with_error(float(self.numbers[i]), float(self.errors[i]))
         side, unit = "above" if limit.upper() else "below", self.unit(i).removeprefix("1")
         excess = f"{in_few(abs(float(self.numbers[i] - limit.bound())), 3)} {unit}".rstrip()
@@ -225,7 +225,7 @@ class Design(AbstractAnswer):
             "(limit.WorstCase of a variable)"
         )
 
-    def _priced(self, i):
+    def _price_sentence(self, i):
         limit, price = self.limits[i], self.prices[i]
         small = self.question.sizes[i] < SMALL
         step, named = (1e-9, f"1 n{self.unit(i)}") if small else (1e-6, f"1 µ{self.unit(i)}")

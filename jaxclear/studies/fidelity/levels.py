@@ -84,10 +84,10 @@ def _one_chain(models, moments, costs, target, parts) -> Chain:
     )
     plain = scatter(moments[0], parts) * costs[0]
     chain = Chain(models, weights, 1.0, np.zeros(len(models)))
-    work, _ = _work(chain, moments, costs, parts)
+    work, _ = _chain_work(chain, moments, costs, parts)
     # What a chain does not serve is left to the runs of the accurate problem themselves.
     chain = chain._replace(weights=np.where(work < plain, weights, 0.0))
-    work, need = _work(chain, moments, costs, parts)
+    work, need = _chain_work(chain, moments, costs, parts)
     count = len(target)
     hard = lambda variances: np.max(variances[:count] / target**2)
     most = int(np.argmax(work[:count] / target**2))
@@ -95,7 +95,7 @@ def _one_chain(models, moments, costs, target, parts) -> Chain:
     return chain._replace(gain=float(gain), need=need[:, most])
 
 
-def _work(chain: Chain, moments, costs, parts) -> tuple[np.ndarray, np.ndarray]:
+def _chain_work(chain: Chain, moments, costs, parts) -> tuple[np.ndarray, np.ndarray]:
     """Work for a variance of 1 (moments,), and variances by link (links, moments)."""
     need = []
     for i, model in enumerate(chain.models):
@@ -179,7 +179,7 @@ class Links:
         while sum(map(taken, range(len(wish)))) > most and max(wish) > FIRST:
             wish[max((i for i, count in enumerate(wish) if count > FIRST), key=taken)] //= 2
         for i, link in enumerate(self.links):
-            self._grow(i, link, wish[i])
+            self._grow_link(i, link, wish[i])
 
     def grow(self, most: float, hardest: Callable[[np.ndarray], int]) -> bool:
         """Doubles the link that tells most of the hardest mean for its cost, of those for which
@@ -193,10 +193,10 @@ class Links:
         var_of = lambda i: self.carried[i, which] ** 2 * self.links[i].means()[:, which].var(ddof=1)
         worth = {i: var_of(i) / (self.links[i].points * self.links[i].cost) for i in able}
         best = max(able, key=lambda i: worth[i])
-        self._grow(best, self.links[best], self.links[best].points)
+        self._grow_link(best, self.links[best], self.links[best].points)
         return True
 
-    def _grow(self, place: int, link: Link, more: int) -> None:
+    def _grow_link(self, place: int, link: Link, more: int) -> None:
         question = self.question
         seed = seed_of(question.seed, place)
         span = link.points * question.parts, (link.points + more) * question.parts

@@ -53,7 +53,7 @@ class Optimum(NamedTuple):
 
 
 @eqx.filter_jit
-def _solved(forward: Forward, starts: Array, measured: Array, scale: Array, mask: Array):
+def _solve_from_starts(forward: Forward, starts: Array, measured: Array, scale: Array, mask: Array):
     inputs = forward.problem.inputs
 
     def residual(normal, _):
@@ -114,9 +114,9 @@ def optima(
     measured, normals = record.row, np.asarray(starts)
     ended, runs = np.zeros(len(normals), bool), len(normals)
     for window in range(windows):
-        mask = _window(record, 0.5 ** (windows - 1 - window))
+        mask = _window_mask(record, 0.5 ** (windows - 1 - window))
         arguments = map(jnp.asarray, (normals, measured, scale, mask))
-        solutions, ended, steps = _solved(forward, *arguments)
+        solutions, ended, steps = _solve_from_starts(forward, *arguments)
         runs += int(np.sum(steps))
         normals = np.where(np.isfinite(solutions), solutions, normals)
     residuals, slopes = map(
@@ -148,7 +148,7 @@ def _optimum(normal, residual, slopes, ended, scale) -> Optimum:
     return optimum._replace(converged=bool(ended or step <= LARGEST_STEP))
 
 
-def _window(record: Record, share: float) -> np.ndarray:
+def _window_mask(record: Record, share: float) -> np.ndarray:
     """1 for the samples (n,) in the first `share` [1] of each signal, 0 for the others."""
     masks = [np.arange(len(s)) < np.ceil(share * len(s)) for s in record.signals.values()]
     return np.concatenate(masks).astype(float)

@@ -160,12 +160,12 @@ def regression(
     """
     whiten = whitened(statistics)
     parts = whiten(statistics)
-    surfaces = _surfaces(parts, unknowns, LENGTHS, groups)
+    surfaces = _fit_surfaces(parts, unknowns, LENGTHS, groups)
     relative = np.stack([s.residuals / np.maximum(s.spreads(), TINY) for s in surfaces], 1)
-    return Regression(whiten, parts, unknowns, surfaces, relative, _folds(statistics))
+    return Regression(whiten, parts, unknowns, surfaces, relative, _split_folds(statistics))
 
 
-def _folds(statistics: np.ndarray) -> tuple[Fold, ...]:
+def _split_folds(statistics: np.ndarray) -> tuple[Fold, ...]:
     folds = []
     for number in range(FOLDS):
         mask = np.arange(len(statistics)) % FOLDS == number
@@ -178,11 +178,11 @@ def _folds(statistics: np.ndarray) -> tuple[Fold, ...]:
 def residuals_alone(statistics: np.ndarray, unknowns: np.ndarray) -> np.ndarray:
     """Root mean square (unknowns,) of what some statistics alone miss of runs that are left out,
     beside the prior's deviation [1]."""
-    surfaces = _surfaces(whitened(statistics)(statistics), unknowns, ONE_LENGTH)
+    surfaces = _fit_surfaces(whitened(statistics)(statistics), unknowns, ONE_LENGTH)
     return np.array([np.sqrt(12 * np.mean(surface.residuals**2)) for surface in surfaces])
 
 
-def _surfaces(
+def _fit_surfaces(
     parts: np.ndarray,
     unknowns: np.ndarray,
     lengths: tuple[float, ...],

@@ -60,10 +60,10 @@ def watched(problem: Problem, record: Measurement, laws: Ensemble) -> Problem:
         count = len(problem.names)
         correlation = np.eye(len(variables))
         correlation[:count, :count] = np.asarray(problem.correlation)
-    sensors = {_response(name): sensor.ideal() for name, sensor in record.sensors.items()}
+    sensors = {_response_name(name): sensor.ideal() for name, sensor in record.sensors.items()}
     watched_problem = Problem(
         laws.mechanism,
-        dict.fromkeys(sensors, _end_of),
+        dict.fromkeys(sensors, _end_time),
         variables,
         duration=intervals / record.rate,
         integrator=problem.integrator,
@@ -75,11 +75,11 @@ def watched(problem: Problem, record: Measurement, laws: Ensemble) -> Problem:
     return eqx.tree_at(lambda tree: tree.response, watched_problem, sensors)
 
 
-def _end_of(run: Any) -> Any:
+def _end_time(run: Any) -> Any:
     return run.time[-1]
 
 
-def _response(name: str) -> str:
+def _response_name(name: str) -> str:
     return f"signal {name}"
 
 
@@ -186,7 +186,7 @@ def sampled(
         label="identify",
         function=_signals_of_chunk,
     )
-    signals = {name: np.asarray(results.responses[_response(name)]) for name in record.sensors}
+    signals = {name: np.asarray(results.responses[_response_name(name)]) for name in record.sensors}
     good = np.asarray(results.outcome) == Outcome.REACHED
     for signal in signals.values():
         good &= np.all(np.isfinite(signal), axis=1)

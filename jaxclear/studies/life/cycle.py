@@ -118,7 +118,7 @@ def cycle_request(problem: Problem, values: Any) -> Request:
     )
 
 
-def _cycle(request: Request, begin: SavedMotion, worn: Worn) -> tuple[Cycle, Trajectory]:
+def _simulate_cycle(request: Request, begin: SavedMotion, worn: Worn) -> tuple[Cycle, Trajectory]:
     """A cycle and its run."""
     times, past = begin.time + request.times, Past(worn, begin.remembered)
     motion = begin.coordinates, begin.speeds
@@ -143,7 +143,7 @@ def _cycle(request: Request, begin: SavedMotion, worn: Worn) -> tuple[Cycle, Tra
     return result, trajectory
 
 
-compiled_cycle = compiled_quickly(_cycle, AROUND_A_KERNEL)
+compiled_cycle = compiled_quickly(_simulate_cycle, AROUND_A_KERNEL)
 
 
 def cycle(request: Request, begin: SavedMotion, worn: Worn) -> tuple[Cycle, Trajectory]:
@@ -309,10 +309,10 @@ def as_state(motion: SavedMotion, worn: Worn) -> State:
 
 def worst_of(checks: Sequence[Checks]) -> Checks:
     """Of each figure at each place the worst of all these."""
-    return functools.reduce(_worse, checks)
+    return functools.reduce(_worse_figures, checks)
 
 
-def _worse(one: Checks, other: Checks) -> Checks:
+def _worse_figures(one: Checks, other: Checks) -> Checks:
     """Of each figure at each place the worse of two."""
     figures = {}
     for check, mine in one.figures.items():
@@ -340,15 +340,15 @@ def relative_changes(history: StateHistory) -> dict[str, Float[Array, ""]]:
     )
     changes = {}
     for name, body in motions.items():
-        changes[f'the place of "{name}"'] = _change(body.com) / arm
+        changes[f'the place of "{name}"'] = _change_over(body.com) / arm
         # For small angles this is the angle.
         turn = _size((body.rotation[-1] - body.rotation[0]).reshape(-1)) / jnp.sqrt(2.0)
         changes[f'the attitude of "{name}"'] = turn
-        changes[f'the velocity of "{name}"'] = safe_divide(_change(body.velocity), fastest)
-        changes[f'the spin of "{name}"'] = safe_divide(arm * _change(body.spin), fastest)
-    for name, clearance in _clearances(history).items():
+        changes[f'the velocity of "{name}"'] = safe_divide(_change_over(body.velocity), fastest)
+        changes[f'the spin of "{name}"'] = safe_divide(arm * _change_over(body.spin), fastest)
+    for name, clearance in _clearances_of(history).items():
         offset = over_time(history, lambda now: now.pose(name).translation)
-        changes[f'the journal in joint "{name}"'] = _change(columns(offset)) / clearance
+        changes[f'the journal in joint "{name}"'] = _change_over(columns(offset)) / clearance
     layout = history.layout()
     for i, name in enumerate(layout.angles):
         angle = history.states[:, layout.angle_start + i]
@@ -356,7 +356,7 @@ def relative_changes(history: StateHistory) -> dict[str, Float[Array, ""]]:
     return changes
 
 
-def _clearances(history: StateHistory) -> dict[str, Any]:
+def _clearances_of(history: StateHistory) -> dict[str, Any]:
     """Clearance [m] of each joint whose journal moves freely in it."""
     mechanism = history.mechanism
     joints = {name: mechanism.connections[name].joint for name in mechanism.topology.clearances}
@@ -364,7 +364,7 @@ def _clearances(history: StateHistory) -> dict[str, Any]:
     return {name: size for name, size in clearances.items() if eqx.is_array(size)}
 
 
-def _change(values: Float[Array, "time n"]) -> Float[Array, ""]:
+def _change_over(values: Float[Array, "time n"]) -> Float[Array, ""]:
     return _size(values[-1] - values[0])
 
 
@@ -384,7 +384,7 @@ def restless(mechanism: Mechanism, start: float, period: float) -> dict[str, tup
     changes = {}
     for name in mechanism.driven:
         joint = mechanism.connections[name].joint
-        before, after = (_driven_to(joint, time) for time in (start, start + period))
+        before, after = (_drive_position(joint, time) for time in (start, start + period))
         poses = [joint.motion((q,)) for q in (before, after)]
         parts = [np.array([[*p.rotation[i], p.translation[i]] for i in range(3)]) for p in poses]
         away = float(np.linalg.norm(parts[1] - parts[0]))
@@ -393,7 +393,7 @@ def restless(mechanism: Mechanism, start: float, period: float) -> dict[str, tup
     return changes
 
 
-def _driven_to(joint: Any, time: float) -> float:
+def _drive_position(joint: Any, time: float) -> float:
     """Where its drive has a joint at a time [s]."""
     drive = drive_of(joint)
     assert drive is not None
@@ -445,7 +445,7 @@ def warn_of_several(owner: str, mechanism: Mechanism, start: float, period: floa
     """
     joints = [mechanism.connections[name].joint for name in mechanism.driven]
     turns = [
-        (_driven_to(joint, start + period) - _driven_to(joint, start)) / (2 * np.pi)
+        (_drive_position(joint, start + period) - _drive_position(joint, start)) / (2 * np.pi)
         for joint in joints
         if joint.units[0] == "rad"
     ]

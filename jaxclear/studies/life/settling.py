@@ -54,7 +54,7 @@ class Settling(NamedTuple):
     @property
     def wear(self) -> Worn:
         """Depth [m] that a cycle wears, by joint and surface."""
-        return _means([c.wore for c in self.taken])
+        return _mean_over_cycles([c.wore for c in self.taken])
 
     @property
     def noise(self) -> Worn:
@@ -65,14 +65,14 @@ class Settling(NamedTuple):
     def by_saves(self) -> Worn:
         """By how much `wear` would be another one if surfaces were updated at every fourth of the
         saving times alone [m]."""
-        return _means(
+        return _mean_over_cycles(
             [jax.tree.map(lambda a, b: a - b, c.wore_by_fourths, c.wore) for c in self.taken]
         )
 
     @property
     def volumes(self) -> Worn:
         """Volume [m3] that a cycle takes, by joint and surface."""
-        return _means([c.volumes for c in self.taken])
+        return _mean_over_cycles([c.volumes for c in self.taken])
 
     @property
     def volume_noise(self) -> Worn:
@@ -100,7 +100,7 @@ class Settling(NamedTuple):
         return means
 
 
-def _means(of_cycles: list[Worn]) -> Worn:
+def _mean_over_cycles(of_cycles: list[Worn]) -> Worn:
     return jax.tree.map(lambda *all: np.mean(all, axis=0), *of_cycles)
 
 

@@ -387,7 +387,7 @@ class Slope:
         self.residuals = np.zeros(len(basis))
         responses, inner = joined.responses[joined.inside], basis[joined.inside]
         surface = fitted(inner, responses)
-        larger = self._larger(surface, responses, inner)
+        larger = self._larger_sample(surface, responses, inner)
         self.place, self.unknown = one.place(larger), one.unknown(larger)
         self.full_influence = one.influence(larger)
 
@@ -396,7 +396,7 @@ class Slope:
         joined, inner = self.joined, mask & self.joined.inside
         y, basis = joined.responses[inner], self.basis[inner]
         influence = self.one.influence(y) if self.place is None else self.full_influence
-        step = self._step(y, basis)
+        step = self._fit_influence(y, basis)
         target, rows, ratio = (
             influence(joined.responses[mask]), step(self.basis[mask]), joined.ratio[mask],
         )  # fmt: skip
@@ -419,7 +419,7 @@ class Slope:
         """How the slope of what was fitted differs between the scramblings of the many points."""
         return self.last
 
-    def _step(self, y, basis):
+    def _fit_influence(self, y, basis):
         """What is fitted to the influence function, from the polynomial's terms, or by its slopes:
         these terms, and for a share of parts a smooth step where the surface passes its limit."""
         place, surface = self.place, fitted(basis, y)
@@ -438,7 +438,7 @@ class Slope:
 
         return columns
 
-    def _larger(self, surface, responses, basis) -> np.ndarray:
+    def _larger_sample(self, surface, responses, basis) -> np.ndarray:
         """A larger sample like this one where the surface explains it: what it leaves, spread over
         many points; the sample itself elsewhere."""
         residuals = responses - basis @ surface

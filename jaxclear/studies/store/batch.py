@@ -144,7 +144,7 @@ class Program:
         self.problem = problem
         many = wide and devices() > 1
         self._function = _on_each if many else function
-        self._laid_out = _on_all_devices if many else jnp.asarray
+        self._laid_out = _split_over_devices if many else jnp.asarray
         self._compiling, self._alone = threading.Lock(), threading.Lock()
         # By size of chunks: what computes them, and whether it calls LAPACK.
         self._prepared: dict[int, Prepared] = {}
@@ -160,7 +160,7 @@ class Program:
         Raises:
             Stopped: runs were interrupted since.
         """
-        program = self._program(values, single_use)
+        program = self._find_program(values, single_use)
         # Programs that call LAPACK go one by one (a user's response may; see `calls_lapack`).
         with self._alone if program.lapack else nullcontext():
             result = jax.tree.map(np.asarray, program.call(values))
@@ -170,9 +170,9 @@ class Program:
 
     def compiled(self, values: np.ndarray) -> bool:
         """Compiles the program for chunks like this; whether it calls LAPACK."""
-        return self._program(values).lapack
+        return self._find_program(values).lapack
 
-    def _program(self, values: np.ndarray, single_use: bool = False) -> Prepared:
+    def _find_program(self, values: np.ndarray, single_use: bool = False) -> Prepared:
         with self._compiling:
             program = self._prepared.get(len(values))
             if program is None:
@@ -202,7 +202,7 @@ def _mesh() -> Mesh:
     return Mesh(np.array(jax.local_devices()), ("samples",))
 
 
-def _on_all_devices(values: np.ndarray) -> Array:
+def _split_over_devices(values: np.ndarray) -> Array:
     return jax.device_put(values, NamedSharding(_mesh(), PartitionSpec("samples")))
 
 

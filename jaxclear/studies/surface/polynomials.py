@@ -171,7 +171,7 @@ class Expansion(NamedTuple):
                 shares = weights
             else:
                 # All products of the numbers that act together, the lowest first.
-                scores, shares = _together(len(group), list(group), powers.shape[1])
+                scores, shares = _joint_grid(len(group), list(group), powers.shape[1])
                 beyond, there = law(scores)
                 outside[list(group)] = shares @ beyond[:, list(group)]
                 table = np.unique(group_powers, axis=0)
@@ -197,7 +197,7 @@ class Expansion(NamedTuple):
         return float(mean), float(variance), squares @ alone, squares @ there
 
 
-def _together(count: int, columns: list[int], variables: int) -> tuple[np.ndarray, np.ndarray]:
+def _joint_grid(count: int, columns: list[int], variables: int) -> tuple[np.ndarray, np.ndarray]:
     """Scores (points, variables), of which those of some columns are on a grid, and the share [1]
     of each point."""
     one = np.linspace(-LARGEST_SCORE, LARGEST_SCORE, round(POINTS_TOGETHER ** (1 / count)) | 1)

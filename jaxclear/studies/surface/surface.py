@@ -128,7 +128,7 @@ def surface(
     if why:
         raise ValueError(f"this problem has no exact slopes ({why}); take slopes=False.")
     if isinstance(sample, GivenSample):
-        values, result, lacking = _there(sample_of(problem, sample), slopes)
+        values, result, lacking = _runs_of_study(sample_of(problem, sample), slopes)
         gradients = None
     else:
         count = len(powers(np.full(len(problem.names), 2), 2))
@@ -142,7 +142,7 @@ def surface(
     return dataclasses.replace(through, unreached=lacking)
 
 
-def _there(study: MonteCarlo, slopes: bool) -> tuple[np.ndarray, SampleResult, str]:
+def _runs_of_study(study: MonteCarlo, slopes: bool) -> tuple[np.ndarray, SampleResult, str]:
     """Values (runs, variables) and outcomes of a study, and what it lacks of what was asked for."""
     if slopes:
         raise ValueError("a Monte Carlo study has no slopes; give a number of runs instead.")
