@@ -106,11 +106,25 @@ def explicit_step(
     the last step left. Stages behind the first are a loop: however many, the equations stand in the
     program twice, and what only the first decides is not worked out in the others."""
     time, h, rest = clock
-    length = chosen_length(h, rest)
+    looks = last is not None or rest is not None
+    if method != ON_GROUP:
+        slope, contacts = formulation.rate(model, time, y)
+    elif looks:
+        contacts = formulation.contacts(model, time, y)
+    if looks:
+        h = chosen_length(h, rest)(contacts, last)
+    if last is not None:
+        # Impact speeds of contacts that have closed in the last step, and deflections of bristles
+        # for their time in contact.
+        motions, length = (last[0], contacts), last[1]
+        if formulation.remembers(model):
+            y = formulation.remember(model, y, *motions, length)
+        if has_bristles(model):
+            y = put_right(formulation, model, (time, y), motions, (length, STAGES[method]))
+        last = contacts, h
+    rate = lambda time, y: formulation.rate(model, time, y)[0]
     if method == ON_GROUP:
-        looks = last is not None or rest is not None
-        return _step_on_group(formulation, model, (time, h, length if looks else None), y, last)
-    h, y, slope, last = _first_stage(formulation, method, model, (time, length), y, last)
+        return h, munthe_kaas.fixed_step(state_group(model), rate, time, h, y), last
     nodes, weights = (jnp.asarray(part) for part in STAGES[method])
     end = y + (h * weights[0]) * slope
     if method == "semi_implicit":
@@ -119,38 +133,11 @@ def explicit_step(
     def further(carry, stage):
         end, slope = carry
         node = nodes[stage] * h
-        slope = formulation.rate(model, time + node, y + node * slope)[0]
+        slope = rate(time + node, y + node * slope)
         return (end + (h * weights[stage]) * slope, slope), None
 
     stages = np.arange(1, len(STAGES[method][0]))
     return h, jax.lax.scan(further, (end, slope), stages)[0][0], last
-
-
-def _first_stage(
-    formulation: Any, method: str, model: Model, clock: tuple, y: Any, last: Any
-) -> tuple:
-    """The length [s] of a step that begins at a time, by the contacts there; the state with the
-    impact speeds of contacts that have closed in the last one, and with deflections of bristles for
-    their time in contact; its rate; what is left to the next step."""
-    time, length = clock
-    slope, contacts = formulation.rate(model, time, y)
-    h = length(contacts, last)
-    if last is None:
-        return h, y, slope, None
-    y = _taken_up(formulation, model, (time, y), (last[0], contacts), (last[1], STAGES[method]))
-    return h, y, slope, (contacts, h)
-
-
-def _taken_up(formulation: Any, model: Model, now: tuple, motions: tuple, step: tuple) -> Any:
-    """The state at a time with the impact speeds of contacts that have closed in the last step, and
-    with deflections of bristles for their time in contact. `motions`: the contacts at both its
-    ends; `step`: its length [s], and (nodes, weights) of its stages."""
-    time, y = now
-    if formulation.remembers(model):
-        y = formulation.remember(model, y, *motions, step[0])
-    if has_bristles(model):
-        y = put_right(formulation, model, (time, y), motions, step)
-    return y
 
 
 def _kicked(formulation: Any, model: Model, clock: tuple, y: Any, end: Any) -> Any:
@@ -164,24 +151,6 @@ def _kicked(formulation: Any, model: Model, clock: tuple, y: Any, end: Any) -> A
     m, first = model.layout.memory_start, model.layout.energy_start + 1
     powers = formulation.energy_rates(model, clock[0], y, 0.5 * (y[n:m] + after[n:m]))
     return jnp.concatenate([after[:first], y[first:] + h * powers])
-
-
-def _step_on_group(formulation: Any, model: Model, clock: tuple, y: Any, last: Any) -> tuple:
-    """As `explicit_step`; the contacts are looked at beforehand, where something depends on
-    them."""
-    time, h, length = clock
-    if length is not None:
-        contacts = formulation.contacts(model, time, y)
-        h = length(contacts, last)
-        if last is not None:
-            step = last[1], STAGES[ON_GROUP]
-            y = _taken_up(formulation, model, (time, y), (last[0], contacts), step)
-            last = contacts, h
-
-    def rate(time, y):
-        return formulation.rate(model, time, y)[0]
-
-    return h, munthe_kaas.fixed_step(state_group(model), rate, time, h, y), last
 
 
 # Step [s] of studies that ask for no other.
@@ -228,6 +197,7 @@ class FixedStep(AbstractIntegrator):
 
     pathwise: ClassVar = True
     projects: ClassVar = True
+    notes_events: ClassVar = True
     step: Scalar = quantity(USUAL_STEP, "s", above=0)
     method: str = eqx.field(static=True, default="rk4")
     steps_per_save: int | None = count(None, kw_only=True)
@@ -254,10 +224,6 @@ class FixedStep(AbstractIntegrator):
     @property
     def steps_between_saves(self):
         return self.steps_per_save
-
-    @property
-    def notes_events(self):
-        return True
 
     @property
     def promise(self):

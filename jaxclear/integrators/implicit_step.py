@@ -88,6 +88,8 @@ class ImplicitStep(AbstractIntegrator):
 
     pathwise: ClassVar = True
     projects: ClassVar = True
+    notes_events: ClassVar = True
+    opens_loops: ClassVar = True
     step: Scalar = quantity(1e-4, "s", above=0)
     rebound: Scalar = quantity(0.95, "1", at_least=0, at_most=1, kw_only=True)
     newton_iterations: int | None = count(None, kw_only=True)
@@ -97,10 +99,6 @@ class ImplicitStep(AbstractIntegrator):
         if self.steps_per_save is not None:
             return None
         return eqx.tree_at(lambda a: a.step, self, on_device(share * on_host(self.step)))
-
-    @property
-    def opens_loops(self):
-        return True
 
     @property
     def formulation(self):
@@ -113,10 +111,6 @@ class ImplicitStep(AbstractIntegrator):
 
     def requested_step(self):
         return self.step if self.steps_per_save is None else None
-
-    @property
-    def notes_events(self):
-        return True
 
     @property
     def steps_between_saves(self):
@@ -148,7 +142,6 @@ class ImplicitStep(AbstractIntegrator):
         """A step, as a function of (its start and length [s], state, last, peaks)."""
         of_model, rest = packed(model)
         arrays_of, others = eqx.partition(self, eqx.is_array)
-        depths, damps = _depths(model), damped(model.system)
 
         def plain(arrays, clock, y, last, peaks):
             model, method = unpacked(arrays[0], rest), eqx.combine(arrays[1], others)
@@ -156,9 +149,7 @@ class ImplicitStep(AbstractIntegrator):
             last, beside = last
             end, now = method.formulation.implicit_step(model, TimeStep(*clock), y, last, *how)
             end = closed(model, sum(clock), end, clock[1])
-            if peaks is not None:
-                forces = now[-model.layout.joint_contacts :] if damps else None
-                peaks = risen(peaks, now[depths], forces)
+            peaks = None if peaks is None else risen(peaks, now.depths, now.forces)
             return clock[1], end, (now, beside), peaks
 
         step = derived_steps(self._derivative(model), self.formulation, rest, plain, None)
@@ -168,15 +159,8 @@ class ImplicitStep(AbstractIntegrator):
         """A warm start that knows what contacts hold where a run begins."""
         if not model.layout.joint_contacts:
             return last
-        free, caused = self.formulation.caused_by_contact(model, start, state)
-        return last.at[self._surplus(model, last)].set(
-            sp.stack(surplus(self._bias, unstacked(free), unstacked(caused)))
-        )
-
-    def _surplus(self, model, last):
-        """Where a warm start holds its surplus."""
-        end = len(last) - (model.layout.joint_contacts if damped(model.system) else 0)
-        return slice(end - model.layout.speeds, end)
+        free, caused = map(unstacked, self.formulation.caused_by_contact(model, start, state))
+        return last._replace(surplus=sp.stack(surplus(self._bias, free, caused)))
 
     def _sped_up(self, model, state, last, length):
         """A state whose speeds are, at saving times, those with which places change: within steps
@@ -185,7 +169,7 @@ class ImplicitStep(AbstractIntegrator):
         if not model.layout.joint_contacts:
             return state
         speeds = slice(model.layout.coordinates, model.layout.memory_start)
-        return state.at[speeds].add(length * constant(last[self._surplus(model, last)]))
+        return state.at[speeds].add(length * constant(last.surplus))
 
     def evaluations(self, mechanism):
         """The middle of a step, and the iterations on its contacts."""
@@ -211,8 +195,8 @@ class ImplicitStep(AbstractIntegrator):
         state = self._sped_up(model, state, last, -h)
         before = _of_joints(model, interval.peaks)
         if contacts:
-            last = last.at[_depths(model)].set(_worn_deeper(model, interval.start, state, last))
-            first_depths = positive_part(last[_depths(model)])
+            last = last._replace(depths=_worn_deeper(model, interval.start, state, last.depths))
+            first_depths = positive_part(last.depths)
             peaks = no_peaks(first_depths, damped(model.system))._replace(depths=first_depths)
             peaks = peaks if kind is None else since(before, peaks)
 
@@ -236,21 +220,14 @@ class ImplicitStep(AbstractIntegrator):
         return arrived(end, steps, last, peaks, watch)
 
 
-def _worn_deeper(model: Model, time: Any, state: State, last: Array) -> Array:
+def _worn_deeper(model: Model, time: Any, state: State, depths: Array) -> Array:
     """The indentations that a step is handed where an interval begins: of surfaces that wear those
     that are left of what the interval before has lowered. A step knows them from the one before."""
-    depths = last[_depths(model)]
     if not model.worn:
         return depths
     motion = unpack_motion(model.system, model.entries(state))
     depths_now = sp.stack(contact_rows.indentations(model, time, *motion))
     return jnp.where(depths > 0, depths_now, depths)
-
-
-def _depths(model: Model) -> slice:
-    """Where a warm start holds the indentations: behind the accelerations."""
-    first = 2 * model.layout.speeds
-    return slice(first, first + model.layout.joint_contacts)
 
 
 def _of_joints(model: Model, peaks: Peaks | None) -> Peaks | None:
