@@ -330,12 +330,9 @@ class AbstractSurface(AbstractWearMap):
         r"""(depth [m] that each cell loses, eccentricity [m] of the part).
 
         Depths are proportional to the mean pressure once a part of the volume is lost
-        (`Contact.removed`),
-        :math:`\Delta h = (V/S) w m\sqrt{u - \Delta h}` with V that part, u the largest overlap on
-        the way
-        before it, w the contact's share, m the mean of the roots over the way relative to the
-        largest and S
-        the integral of w times the root of a contact.
+        (`Contact.removed`), :math:`\Delta h = (V/S) w m\sqrt{u - \Delta h}` with V that part, u the
+        largest overlap on the way before it, w the contact's share, m the mean of the roots over
+        the way relative to the largest and S the integral of w times the root of a contact.
 
         Args:
             contact: with the volume [m3] that it removes.
@@ -555,7 +552,7 @@ def visit_cells(
     Args:
         touched: range of columns and rows.
         cells: numbers of cells of the map, around and along.
-            visit: function of what a column's cells share, the cell's (column, row), and the last
+        visit: function of what a column's cells share, the cell's (column, row), and the last
             result.
         first: in the place of a result, for the first visit.
         long: as of `while_loop`, for `first`.

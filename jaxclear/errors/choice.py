@@ -82,7 +82,7 @@ def rungs_of(
     Args:
         mechanism: of the run.
         times: saving times [s].
-            accepts: function that raises `ValueError` for an integrator that does not suit the
+        accepts: function that raises `ValueError` for an integrator that does not suit the
             mechanism.
 
     Raises:
@@ -113,11 +113,11 @@ def others_of(
     Args:
         mechanism: of the run.
         times: saving times [s].
-            accepts: function that raises `ValueError` for an integrator that does not suit the
+        accepts: function that raises `ValueError` for an integrator that does not suit the
             mechanism.
 
     Returns:
-            Rungs of order 1, or with short steps in contact alone; rungs with rigid and permanent
+        Rungs of order 1, or with short steps in contact alone; rungs with rigid and permanent
         contact.
     """
     first, interval = _first_step(mechanism, times), float(np.min(np.diff(times)))

@@ -225,8 +225,7 @@ def coordinates_at(model: Any, joints: list[str], keyframe: str) -> dict[str, tu
     """Coordinates of joints at a keyframe, by name.
 
     Those of hinges and slides count from the reference configuration; of balls and free joints they
-    are
-    MuJoCo's.
+    are MuJoCo's.
 
     Args:
         model: MuJoCo's.

@@ -202,7 +202,7 @@ def free_motion(model: Model, time: Any, q: tuple, v: tuple, followed: Followed)
         model: of the run.
         time: instant [s].
         q, v: coordinates and speeds, a tuple for each link.
-            followed: what the state integrates beside the motion: whole-turn angles, load states,
+        followed: what the state integrates beside the motion: whole-turn angles, load states,
             flanks.
     """
     system = model.system

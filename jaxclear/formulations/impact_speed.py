@@ -42,8 +42,7 @@ def remembered(
     """Impact speeds [m/s] at the end of a step.
 
     They are 0 where a contact is apart, the approach speed at the touch where it has closed, and
-    unchanged
-    elsewhere.
+    unchanged elsewhere.
 
     Args:
         speed: at its start [m/s].
@@ -119,7 +118,7 @@ def passage(path: tuple, level: Scalar, last: Array, target: Any = None) -> Arra
         path: Hermite's cubic of each contact: values and scaled slopes at the ends [m].
         level: that is passed [m].
         last: share at which the cubic is on the other side of it than at the start [1].
-            target: whether anything is searched for; None: always, with derivatives in reverse mode
+        target: whether anything is searched for; None: always, with derivatives in reverse mode
             too.
     """
     low, high = jnp.zeros_like(last), last
@@ -165,16 +164,14 @@ def end_at_passage(
     """Share of a step at which it would have ended at the first touch or release in it; 1 if none.
 
     Signs of the rates at the ends do not indicate a touch between them: a journal that has touched,
-    parted
-    and passed the middle of its bearing comes nearer to the wall at both. So each half of the step
-    is
-    searched, with Hermite's cubic, which is exact for a path in free fall.
+    parted and passed the middle of its bearing comes nearer to the wall at both. So each half of
+    the step is searched, with Hermite's cubic, which is exact for a path in free fall.
 
     Args:
         before, middle, after: motion of the contacts in the step.
         length: of the step [s].
         beyond: distance beyond the wall that counts as a passage [m].
-            least: smallest time [s] between a passage and the step's end that counts; no share is
+        least: smallest time [s] between a passage and the step's end that counts; no share is
             shorter.
     """
     outwards = jnp.where(before.depths >= 0, -1.0, 1.0)
@@ -216,14 +213,12 @@ def taken_in_flight(speed: Scalar, flight: tuple, length: Scalar) -> Scalar:
     """Impact speed [m/s] for an implicit step.
 
     In contact it is unchanged; of a contact that is apart it is the speed with which it would touch
-    within
-    the step unhindered: that in the middle, with the acceleration along the normal from the speeds
-    and
-    from the curvature of the path.
+    within the step unhindered: that in the middle, with the acceleration along the normal from the
+    speeds and from the curvature of the path.
 
     Args:
         speed: at the start of the step [m/s].
-            flight: indentation [m] at the start, and in the middle to which the start's speeds
+        flight: indentation [m] at the start, and in the middle to which the start's speeds
             lead; its
             rate there [m/s], and what half a step without contact adds to it.
         length: of the step [s].

@@ -70,13 +70,12 @@ def set_valued_friction(
     """Coulomb's law in ideal joints at the end of a step, as a problem for their friction.
 
     A joint that slides is held back by kinetic friction, and caught by static friction where it
-    would
-    reverse.
+    would reverse.
 
     Args:
         fixed: joints that touch all the time.
         slips: rates of sliding of each.
-            before, ahead: changes from the speeds at which slips were read to those at the step's
+        before, ahead: changes from the speeds at which slips were read to those at the step's
             start, and
             to those at its end without friction.
         h: length of the step [s].
@@ -128,7 +127,7 @@ def with_rows_of_loads(
         problem: of the joints' friction.
         loads: stops and dry friction in the step.
         response: of the mechanism to friction and these loads.
-            before, ahead: changes from the speeds at which loads were read to those at the step's
+        before, ahead: changes from the speeds at which loads were read to those at the step's
             start, and
             to those at its end without friction and these loads.
         h: length of the step [s].
@@ -171,8 +170,7 @@ def moved_to_stops(
     """Projection of coordinates onto the stops beyond which they are, in the metric of the masses.
 
     Rigid stops that have pressed are touched; stiff ones stay as far beyond as their steady load
-    deflects
-    them.
+    deflects them.
 
     Args:
         loads: stops in the step.

@@ -232,8 +232,7 @@ def contact_at_start(
     """The laws of a contact as a step begins, and where its iteration sets out.
 
     From the middle of the last step to that of this one a sliding direction has turned; until the
-    end of
-    this one it turns half as far again.
+    end of this one it turns half as far again.
 
     Args:
         averaging: length of the step and bias.

@@ -99,7 +99,7 @@ class SolvedLoad(NamedTuple):
             system: prepared mechanism, as `prepare` returns it.
             motions: motion of every link, for the force that presses it.
             time: instant [s].
-                followed: what the state integrates beside the motion: whole-turn angles, load
+            followed: what the state integrates beside the motion: whole-turn angles, load
                 states, flanks.
         """
         load: Any = self.load
@@ -120,8 +120,7 @@ def check_solved_loads(mechanism: Mechanism, integrator: str, seated: bool) -> N
     """Raises `ValueError` for a load whose force the integrator's steps cannot solve for.
 
     Such is one with an `effect` of its own beside stops or dry friction, and one that is pressed by
-    what
-    has no force at an instant.
+    what has no force at an instant.
 
     Args:
         mechanism: with its loads.
@@ -307,7 +306,7 @@ def loads_in_step(
         system: prepared mechanism, as `prepare` returns it.
         motions: motion of every link at one instant, in the order of `system.links`.
         time: instant [s].
-            followed: what the state integrates beside the motion: whole-turn angles, load states,
+        followed: what the state integrates beside the motion: whole-turn angles, load states,
             flanks.
     """
     stops: list[StopInStep] = []

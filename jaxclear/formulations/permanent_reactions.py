@@ -339,7 +339,7 @@ def reactions_without_motion(
         motions: motion of every link at one instant, in the order of `system.links`.
         q: coordinates, a tuple for each link.
         joints: whose reactions are computed.
-            in_space: whether bodies move in space; in the plane, rows that are structurally 0 are
+        in_space: whether bodies move in space; in the plane, rows that are structurally 0 are
             unloaded.
     """
     answers = []

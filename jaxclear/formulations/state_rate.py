@@ -74,8 +74,7 @@ def passive_rates(
     """Rates of entries that only follow the motion, in the layout's order.
 
     These are angles over whole turns, states of loads and flanks, worn volumes with their
-    locations,
-    impulses and energies.
+    locations, impulses and energies.
 
     Args:
         system: prepared mechanism, as `prepare` returns it.

@@ -332,10 +332,8 @@ def project(
     """Coordinates at a step's end, moved apart where contacts overlap, in the metric of the masses.
 
     An overlap by no more than contacts leave or fall in a step stays: a contact at rest remains
-    closed
-    whatever rounding and the turning of its normal do, and what strikes and rebounds undoes its
-    overlap
-    itself; moving it would give it energy.
+    closed whatever rounding and the turning of its normal do, and what strikes and rebounds undoes
+    its overlap itself; moving it would give it energy.
 
     Args:
         model: of the run.

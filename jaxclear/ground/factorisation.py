@@ -295,8 +295,7 @@ def least_change(
     """Smallest x, measured as x / scales, with rows @ x = targets.
 
     A row that follows from earlier ones is left out, whether it holds or not. All derivatives are
-    finite,
-    also where x is zero.
+    finite, also where x is zero.
 
     Args:
         rows: coefficients; earlier rows have priority.

@@ -114,6 +114,8 @@ class Adaptive(AbstractIntegrator):
 
     pathwise: ClassVar = False
     projects: ClassVar = False
+    remedy: ClassVar = "tighten rtol"
+    notes_events: ClassVar = True
     solver: diffrax.AbstractSolver = eqx.field(
         default_factory=diffrax.Tsit5,
         metadata={"wanted": "a solver of diffrax, such as diffrax.Tsit5()"},
@@ -146,10 +148,6 @@ class Adaptive(AbstractIntegrator):
         sizes = lambda a: (a.rtol, a.atol)
         return eqx.tree_at(sizes, self, (self.rtol * finer, self.atol * finer))
 
-    @property
-    def remedy(self):
-        return "tighten rtol"
-
     def with_max_step(self, step):
         step = step if self.largest_step is None else jnp.minimum(step, self.largest_step)
         return eqx.tree_at(lambda a: a.largest_step, self, step, is_leaf=lambda x: x is None)
@@ -163,10 +161,6 @@ class Adaptive(AbstractIntegrator):
     @property
     def in_kernels(self):
         return not isinstance(self.solver, diffrax.AbstractImplicitSolver)
-
-    @property
-    def notes_events(self):
-        return True
 
     @property
     def through_contacts(self):
@@ -203,30 +197,30 @@ class Adaptive(AbstractIntegrator):
             solve = with_fast_loops(solve)
         return solve(arrays, interval, state, warm_start)
 
-    def _make_controller(self, model, interval):
+    def _controller(self, model, interval):
         """The error control of an interval, which ends steps where contacts close and part."""
         longest = jnp.inf if self.largest_step is None else self.largest_step
         counting, system = self, model.system
         if model.layout.contacts:
-            counting = self.counting_in(_narrowest_gap(system), longest_arm(system))
+            counting = self.counting_in(_narrowest(system), longest_arm(system))
         control = diffrax.PIDController(
             rtol=counting.rtol,
             atol=counting.atol,
             # diffrax reports a failed implicit stage as an infinite error of all entries: 0 times
             # infinity must not enter.
             # What it closes over must be leaves: implicit solvers differentiate with the norm.
-            norm=jax.tree_util.Partial(_largest_error, interval.error_weights),
+            norm=jax.tree_util.Partial(_largest, interval.error_weights),
             dtmin=SMALLEST_STEP * jnp.maximum(jnp.abs(interval.start), jnp.abs(interval.stop)),
             dtmax=longest,
             force_dtmin=False,
         )
         if not model.layout.contacts:
             return control
-        beyond = jnp.minimum(LANDING * control.atol, LANDING_IN_GAP * _narrowest_gap(model.system))
+        beyond = jnp.minimum(LANDING * control.atol, LANDING_IN_GAP * _narrowest(model.system))
         rounding = ROUNDING * longest_arm(model.system)
         return EndingAtTouches(control, jnp.maximum(beyond, rounding))
 
-    def _make_term(self, model, rates):
+    def _term(self, model, rates):
         """The equations as diffrax asks for them."""
         term = diffrax.ODETerm(lambda time, y, args: rates(*args, jnp.asarray(time, float), y))
         if not isinstance(self.solver, MuntheKaas):
@@ -234,7 +228,7 @@ class Adaptive(AbstractIntegrator):
         group, field_of = state_group(model), term.vector_field
         return GroupTerm(lambda time, y, args: group.rates(y, field_of(time, y, args)), group)
 
-    def _make_solver(self, rest, size, derivative, growth, so_far):
+    def _solver(self, rest, size, derivative, growth, so_far):
         """The solver, which looks at contacts where there are any: laws may ask for impact speeds,
         and without them it would step over touches. `size`: so many equations of a program are in a
         rate; `so_far`: the peaks of the run."""
@@ -245,7 +239,7 @@ class Adaptive(AbstractIntegrator):
             if bare(rest).layout.states:
                 solver = StandingAtBounds(solver, functools.partial(_bounded, rest))
         if not bare(rest).layout.contacts:
-            return _with_transmitted(solver, rest)
+            return _following(solver, rest)
 
         def remember(y, before, after, length, args):
             return formulation.remember(unpacked(args[0], rest), y, before, after, length)
@@ -253,7 +247,7 @@ class Adaptive(AbstractIntegrator):
         motion, derived = motion_of(formulation, rest), derivative if through else None
         looks = formulation.damped(bare(rest)), bare(rest).events
         solver = TakingImpactSpeeds(solver, remember, motion, derived, growth, so_far, *looks)
-        return _with_transmitted(solver, rest)
+        return _following(solver, rest)
 
     def _solve(self, rest, arrays, interval, state, warm_start) -> Advance:
         formulation, (start, stop), (step, growth) = self.formulation, interval[:2], warm_start
@@ -272,11 +266,11 @@ class Adaptive(AbstractIntegrator):
         derivative = equations(formulation, rest, plain)
         through = bare(rest).layout.contacts and self.through_contacts
         rates = derivative.rates if through else lambda arrays, _, *now: plain(arrays, *now)
-        controller = self._make_controller(model, interval)
+        controller = self._controller(model, interval)
         first = jnp.where(step > 0, usual, 1e-2 * length)
-        end, failed = self._solve_span(
-            self._make_term(model, rates),
-            self._make_solver(rest, size, derivative, growth, interval.peaks),
+        end, failed = self._solved(
+            self._term(model, rates),
+            self._solver(rest, size, derivative, growth, interval.peaks),
             controller,
             (start, stop, first),
             state,
@@ -299,14 +293,14 @@ class Adaptive(AbstractIntegrator):
         state = end.state
         if through:
             instants = () if events is None else events[:2]
-            most = _largest_growth(model, controller)
+            most = _most_growth(model, controller)
             moving = trusted((state, peaks, instants, sent), growth, most)
             state, peaks, instants, sent = allow_first_derivative(NO_SECOND, moving)
             if events is not None:
                 events = events._replace(times=instants[0], rates=instants[1])
         return Advance(state, *steps, (usual, growth), outcome, peaks, events, sent)
 
-    def _solve_span(self, term, solver, controller, span, state, args, ended, ends):
+    def _solved(self, term, solver, controller, span, state, args, ended, ends):
         """Where a solver ends, and why where that is before the end; of its own steps each is
         `ended(state, args)`. `ends`: of the coordinates and of the speeds in a state."""
         if stepped_by_hand(self.solver) is not None:
@@ -340,7 +334,7 @@ class Adaptive(AbstractIntegrator):
         return solved, jnp.where(fine, Outcome.REACHED, failed)
 
 
-def _with_transmitted(solver, rest):
+def _following(solver, rest):
     """The solver, which follows what couplings of a model transmit where there are such."""
     couplings = len(transmitting(bare(rest).system))
 
@@ -357,19 +351,19 @@ def _bounded(rest, state, args):
     return within_bounds(model.system, model.layout, state)
 
 
-def _largest_growth(model, controller):
+def _most_growth(model, controller):
     """By how much derivatives may grow from the first touches on: what a tolerance leaves of a
     place is then a share of the gap by which they change, of the longest arm where none is."""
     arm = longest_arm(model.system)
     place = controller.rtol * arm + controller.atol
-    return TRUSTED * jnp.minimum(_narrowest_gap(model.system), arm) / place
+    return TRUSTED * jnp.minimum(_narrowest(model.system), arm) / place
 
 
-def _narrowest_gap(system):
+def _narrowest(system):
     """The narrowest gap [m] of joints; infinite where only couplings have play."""
     return narrowest_gap(system) if system.bearings else jnp.inf
 
 
-def _largest_error(weights, error):
+def _largest(weights, error):
     """The largest weighed error."""
     return jnp.max(jnp.where(weights > 0, jnp.abs(weights * error), 0.0), initial=0.0)

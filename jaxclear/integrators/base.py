@@ -327,8 +327,7 @@ def divide(interval: Interval, step: Any, fixed: int | None = None) -> tuple[Any
     """(number of equal steps, their length [s]).
 
     Where the number is more than any run takes (a step of 0, which only a traced number can be
-    here), one
-    step of nan.
+    here), one step of nan.
 
     Args:
         interval: start and stop [s].
@@ -371,8 +370,7 @@ def counted(one: Callable[[Any, Any], Any], steps: int, first: Any) -> Any:
     """What is carried after a fixed number of turns, in a loop that suits reverse mode.
 
     It stores what a turn is given within one interval at a time, and for the others only their
-    beginnings,
-    and computes all once more.
+    beginnings, and computes all once more.
 
     Args:
         one: (index, carry) -> carry.
@@ -411,7 +409,7 @@ def searching_steps(
         interval: start and stop [s].
         longest: largest length of a step [s].
         step: (time step, state, last) -> (state, last).
-            carry: state and warm start; the last entry of the latter's first array is the largest
+        carry: state and warm start; the last entry of the latter's first array is the largest
             residual.
         loose: residual beyond which the laws count as not satisfied.
     """

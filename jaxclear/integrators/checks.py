@@ -372,15 +372,15 @@ class Checks(AbstractShown):
     @property
     def warnings(self) -> tuple[str, ...]:
         """A sentence for each figure beyond its limit; empty for a clean run."""
-        return tuple(_check_sentence(*row) for row in self._checks_exceeded())
+        return tuple(_sentence(*row) for row in self._exceeded())
 
     @property
     def before_the_end(self) -> tuple[str, ...]:
         """The warnings of a run that ended early but for those of figures that grew without bound
         with it: what was beyond its limit before may tell why."""
-        return tuple(_check_sentence(*row) for row in self._checks_exceeded() if row[1] < RAN_AWAY)
+        return tuple(_sentence(*row) for row in self._exceeded() if row[1] < RAN_AWAY)
 
-    def _checks_exceeded(self) -> list[tuple[Check, float, str]]:
+    def _exceeded(self) -> list[tuple[Check, float, str]]:
         """(check, worst figure, its place) of those beyond their limits."""
         return [row[:3] for row in self.rows() if row[1] > row[0].limit]
 
@@ -411,6 +411,6 @@ class Checks(AbstractShown):
         return (self.table().drop(columns="time [s]"),)
 
 
-def _check_sentence(check: Check, worst: float, place: str) -> str:
+def _sentence(check: Check, worst: float, place: str) -> str:
     text = check.sentence.format(figure=worst, place=place, limit=check.limit)
     return f"{text[0].upper()}{text[1:]}."

@@ -41,7 +41,7 @@ def trusted(result: Any, growth: Array, limit: Scalar) -> Any:
 
     Args:
         result: pytree of arrays.
-            growth: zeros, whose derivatives are the number of touches that moved, and by how much
+        growth: zeros, whose derivatives are the number of touches that moved, and by how much
             [s] the
             first few and all of them did at most.
         limit: largest ratio of the last two that is trusted [1].

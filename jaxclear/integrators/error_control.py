@@ -30,7 +30,7 @@ from jaxclear.ground.outcome import Unknown
 from jaxclear.ground.quantity import Scalar, constant
 from jaxclear.ground.tangents import apply_if, pushed
 from jaxclear.integrators.events import no_peaks, noted, nothing, peaks, risen, since
-from jaxclear.integrators.saltation import Equations, Step, closed
+from jaxclear.integrators.saltation import Equations, Start, closed
 from jaxclear.native import while_loop
 from jaxclear.native.writer import LONGEST_IN_REGISTERS
 
@@ -98,18 +98,18 @@ class Stages(AbstractAround, diffrax.AbstractAdaptiveSolver, diffrax.AbstractWra
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
         table, h = self.solver.tableau, t1 - t0
         rate = lambda node, y: terms.vf(t0 + node * h, y, args)
-        go = _stages_unrolled if self.written_out else _stages_in_loop
+        go = _written_out if self.written_out else _in_turn
         slopes, stages = go(table, rate, h, y0, solver_state)
-        y1 = y0 + h * _weigh_slopes(table.b_sol, slopes)
-        error = h * _weigh_slopes(table.b_error, slopes)
+        y1 = y0 + h * _weighed(table.b_sol, slopes)
+        error = h * _weighed(table.b_error, slopes)
         dense = {"y0": y0, "y1": y1, "k": h * slopes}
         return y1, error, dense, stages, diffrax.RESULTS.successful
 
 
-def _stages_in_loop(table, rate, h, y0, before):
+def _in_turn(table, rate, h, y0, before):
     """Slopes of all stages of a step h [s], and the state between steps."""
     count, (begin, slope) = table.num_stages, before
-    nodes, matrix = (jnp.asarray(each) for each in _tableau_rows(table))
+    nodes, matrix = (jnp.asarray(each) for each in _rows(table))
 
     # The last of the slopes is the newest.
     def stage(carry):
@@ -122,21 +122,21 @@ def _stages_in_loop(table, rate, h, y0, before):
     return slopes, (jnp.full((), int(table.fsal)), slopes[-1])
 
 
-def _stages_unrolled(table, rate, h, y0, first):
+def _written_out(table, rate, h, y0, first):
     """The same."""
     slopes = [rate(0.0, y0) if first is None else first]
     for node, row in zip(table.c, table.a_lower, strict=True):
-        slopes.append(rate(node, y0 + h * _weigh_slopes(row, slopes)))
+        slopes.append(rate(node, y0 + h * _weighed(row, slopes)))
     return jnp.stack(slopes), slopes[-1] if table.fsal else None
 
 
-def _weigh_slopes(weights, slopes):
+def _weighed(weights, slopes):
     """Sum of the slopes by their weights."""
     parts = [float(w) * slope for w, slope in zip(weights, slopes, strict=True) if w != 0]
     return functools.reduce(operator.add, parts, jnp.zeros_like(slopes[0]))
 
 
-def _tableau_rows(table: diffrax.ButcherTableau) -> tuple[np.ndarray, np.ndarray]:
+def _rows(table: diffrax.ButcherTableau) -> tuple[np.ndarray, np.ndarray]:
     """The node of every stage, and its weights of the slopes before it, behind zeros for those that
     are not there yet; more rows than stages, so that a kernel reads them from memory instead of
     choosing among them."""
@@ -206,8 +206,7 @@ def solve(
 
     A derivative is that of a solution in steps of its own, which are short enough for it too
     (`_WithDerivatives`): where a spring sets in within a step that resolves the motion, or at rest,
-    those
-    of the motion are too long. The length of steps is not differentiated.
+    those of the motion are too long. The length of steps is not differentiated.
 
     Args:
         term: right side.
@@ -248,10 +247,10 @@ class _Solving(NamedTuple):
         order = solver.error_order(self.term)
 
         def turn(now):
-            candidate, y, after, error = self._try_step(solver, now, args)
+            candidate, y, after, error = self._tried(solver, now, args)
             tried = constant((now.start, now.stop, now.state, candidate, args, error))
             adapted = controller.adapt_step_size(*tried, order, now.control)
-            return _turn_after(now, y, after, adapted, end)
+            return _after(now, y, after, adapted, end)
 
         last = while_loop(lambda now: self._continues(now, end), turn, first)
         steps = last.accepted, last.rejected
@@ -267,11 +266,11 @@ class _Solving(NamedTuple):
 
         def turn(carry):
             now, d_turn = carry
-            moving, fixed = eqx.partition(_differentiable_parts(now), eqx.is_inexact_array)
+            moving, fixed = eqx.partition(_parts(now), eqx.is_inexact_array)
             go = lambda moving: now._replace(**eqx.combine(moving, fixed))
 
             def tried(solving, args, moving):
-                return self._try_step(eqx.combine(solving, self.rest)[0], go(moving), args)
+                return self._tried(eqx.combine(solving, self.rest)[0], go(moving), args)
 
             inputs = (solving, args, moving), (of_solving, of_args, d_turn)
             (candidate, y, after, error), (_, *of_step) = pushed(tried, *inputs)
@@ -281,16 +280,16 @@ class _Solving(NamedTuple):
             after, constants = eqx.partition(after, eqx.is_inexact_array)
 
             def choose(moving, y, after, end):
-                return _turn_after(go(moving), y, eqx.combine(after, constants), adapted, end)
+                return _after(go(moving), y, eqx.combine(after, constants), adapted, end)
 
-            inputs = (moving, y, after, end), (d_turn, d_y, _float_tangents(d_after), d_end)
+            inputs = (moving, y, after, end), (d_turn, d_y, _floating(d_after), d_end)
             now, d_turn = pushed(choose, *inputs)
-            return now, _float_tangents(_differentiable_parts(d_turn))
+            return now, _floating(_parts(d_turn))
 
-        first = first, _float_tangents(_differentiable_parts(d_turn))
+        first = first, _floating(_parts(d_turn))
         last, d_turn = while_loop(lambda carry: self._continues(carry[0], end), turn, first)
         state = jnp.where(last.start < end, Unknown.UNRESOLVED.number, d_turn["state"])
-        still = jax.tree.map(_zero_tangent, solved)
+        still = jax.tree.map(_no_tangent, solved)
         saved = eqx.combine(d_turn["kept"], still.kept)
         return still._replace(time=d_turn["start"], state=state, kept=saved)
 
@@ -300,12 +299,12 @@ class _Solving(NamedTuple):
         start, order = constant((begin, end, state, first, args)), solver.error_order(self.term)
         until, control = controller.init(self.term, *start, solver.func, order)
         wish = until - constant(begin)
-        until = _clip_end(begin, until, end, True)
+        until = _clipped(begin, until, end, True)
         saved = solver.init(self.term, begin, until, state, args)
         none = jnp.zeros((), int)
         return _Turn(begin, until, state, saved, control, none, none, jnp.asarray(True), wish)
 
-    def _try_step(self, solver, now, args):
+    def _tried(self, solver, now, args):
         """(state by the solver, as it has ended, what the solver keeps, error) behind a step."""
         at = now.start, now.stop, now.state
         y, error, _, after, _ = solver.step(self.term, *at, args, now.kept, False)
@@ -316,17 +315,17 @@ class _Solving(NamedTuple):
         return (now.start < end) & now.fine & (now.accepted + now.rejected < self.most)
 
 
-def _differentiable_parts(turn: _Turn) -> dict[str, Any]:
+def _parts(turn: _Turn) -> dict[str, Any]:
     """What of a turn has derivatives."""
     return {name: getattr(turn, name) for name in ("start", "stop", "state", "kept")}
 
 
-def _float_tangents(tangents: Any) -> Any:
+def _floating(tangents: Any) -> Any:
     """The tangents of numbers that may move."""
     return eqx.filter(tangents, lambda each: each.dtype != jax.dtypes.float0)
 
 
-def _zero_tangent(number: Any) -> Any:
+def _no_tangent(number: Any) -> Any:
     number = jnp.asarray(number)
     floating = jnp.issubdtype(number.dtype, jnp.inexact)
     return jnp.zeros_like(number) if floating else np.zeros(number.shape, jax.dtypes.float0)
@@ -367,7 +366,7 @@ class _WithDerivatives(NamedTuple):
         return inner.adapt_step_size(*constant((*at, None, error)), order, now.control)
 
 
-def _turn_after(now, y, after, adapted, end):
+def _after(now, y, after, adapted, end):
     """What follows a step that was tried: as it ended, if the controller keeps it."""
     keep, start, stop, _, control, result = adapted
     # A step that the end of the interval has cut says nothing against a longer one.
@@ -378,7 +377,7 @@ def _turn_after(now, y, after, adapted, end):
     choose = lambda new, old: jax.tree.map(lambda a, b: jnp.where(keep, a, b), new, old)
     return _Turn(
         start,
-        _clip_end(start, stop, end, keep),
+        _clipped(start, stop, end, keep),
         choose(y, now.state),
         choose(after, now.kept),
         control,
@@ -389,7 +388,7 @@ def _turn_after(now, y, after, adapted, end):
     )
 
 
-def _clip_end(start, stop, end, keep):
+def _clipped(start, stop, end, keep):
     """The end of the next step, not beyond that of the interval: there after a step that was kept,
     halfway after one that was not."""
     beyond = stop > end - ROUNDINGS * jnp.abs(end)
@@ -523,68 +522,70 @@ class TakingImpactSpeeds(
         events = nothing(contacts, self.events) if self.events else None
         inner = self.solver.init(terms, t0, t1, y0, args)
         peaks = no_peaks(contacts.depths, self.damped)
-        peaks = since(self.so_far, self._raise_peaks(peaks, y0, args, contacts))
+        peaks = since(self.so_far, self._risen(peaks, y0, args, contacts))
         return inner, contacts, peaks, events, self.growth
 
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
         inner, before, peaks, events, growth = solver_state
-        step = Step(args[0], ContactMotion(*constant(before)), constant(t1 - t0))
-        times, y, inner, shift, aux = self._start_of_step(step, (t0, t1), y0, inner, args)
+        contacts = ContactMotion(*constant(before))
+        start = Start(args[0], t0, y0, constant(t1 - t0), contacts)
+        times, y, inner, shift, aux = self._start(start, t1, inner, args)
         y1, error, dense, inner, result = self.solver.step(terms, *times, y, aux, inner, made_jump)
         after: Any = constant(self.motion.contacts(args[0], t1, y1))
         # Flanks of play by how they count since the step began.
         end_motion = after
         if self.motion.sided:
-            end_motion = constant(self.motion.observe(args[0], t1, y1, step.shares))
+            end_motion = constant(self.motion.contacts(args[0], t1, y1, start.shares))
         length, half = t1 - t0, 0.5 * (t0 + t1)
         path = self.interpolation_cls(t0=t0, t1=t1, **constant(dense))
-        middle = self.motion.observe(args[0], half, path.evaluate(half), step.shares)
+        middle = self.motion.contacts(args[0], half, path.evaluate(half), start.shares)
         passage = Passage(*constant((before, middle, end_motion)))
         remembering = self.remember(y1, before, after, length, args)
         if events is not None:
             events = noted(events, *constant((t0, length, before, end_motion)))
         derived = remembering, growth, events
-        y1, inner, growth, events = self._derivatives_at_end(step, (t1, y1), inner, shift, derived)
+        end = start._replace(time=t1, state=y1)
+        y1, inner, growth, events = self._ended(end, inner, shift, derived)
         if self.derived is not None and self.motion.layout.plays:
             slope = lambda: terms.vf(t1, y1, (args[0], closed(after)))
-            inner = _renew_slope(inner, step.shares != closed(after), slope)
-        peaks = self._peaks_after((t0, y0), (t1, y1), args, (step.contacts, after), peaks)
+            inner = _renewed(inner, start.shares != closed(after), slope)
+        peaks = self._peaks((t0, y0), (t1, y1), args, (contacts, after), peaks)
         state_after = inner, after, peaks, events, growth
         return y1, Judged(error, passage), dense, state_after, result
 
-    def _peaks_after(self, start, end, args, motions, largest):
+    def _peaks(self, start, end, args, motions, largest):
         """The peaks after a step."""
         if self.derived is None:
-            return self._raise_peaks(largest, end[1], args, motions[1])
+            return self._risen(largest, end[1], args, motions[1])
         so_far = constant(self.so_far)
         return peaks(self.motion, args[0], (start, end), motions, largest, so_far)
 
-    def _raise_peaks(self, largest, y, args, contacts):
+    def _risen(self, largest, y, args, contacts):
         """The peaks with the contacts at an instant."""
         forces = self.motion.pressing(args[0], y, contacts) if self.damped else None
         peaks = risen(largest, contacts.depths, forces)
         return peaks if self.derived else constant(peaks)
 
-    def _start_of_step(self, step, times, y, inner, args):
+    def _start(self, start, stop, inner, args):
         """(times, state, state of the solver, shift, args) of its step, as derivatives want it."""
         if self.derived is None:
-            return times, y, inner, None, args
+            return (start.time, stop), start.state, inner, None, args
         slopes, others = eqx.partition(inner, eqx.is_inexact_array)
-        y, slopes, shift = self.derived.shifted(step, (times[0], y), slopes)
-        times = tuple(time + shift for time in times)
-        return times, y, eqx.combine(slopes, others), shift, (args[0], step.shares)
+        y, slopes, shift = self.derived.shifted(start, slopes)
+        times = start.time + shift, stop + shift
+        return times, y, eqx.combine(slopes, others), shift, (args[0], start.shares)
 
-    def _derivatives_at_end(self, step, end, inner, shift, values):
+    def _ended(self, end, inner, shift, values):
         """(state, state of the solver, growth, events) with derivatives behind touches and
         releases, from the `values` (state, growth, events, error) before."""
         if self.derived is None:
             return values[0], inner, *values[1:]
         slopes, others = eqx.partition(inner, eqx.is_inexact_array)
-        y, slopes, *rest = self.derived.jumped(step, end, slopes, shift, *values)
+        y, slopes, *rest = self.derived.jumped(end, slopes, shift, *values)
         return y, eqx.combine(slopes, others), *rest
 
 
-def _renew_slope(inner: Any, changed: Any, slope: Callable) -> Any:
+def _renewed(inner: Any, changed: Any, slope: Callable) -> Any:
     """What a solver keeps between steps, where flanks have `changed`: with the slope as they count
     from there on."""
     slopes, others = eqx.partition(inner, eqx.is_inexact_array)

@@ -210,13 +210,13 @@ def risen(peaks: Peaks, depths: PerContact, forces: Any) -> Peaks:
 def since(so_far: Peaks | None, first: Peaks) -> Peaks:
     """What a saving interval has met where it begins, with the derivative of the largest `so_far`
     in the run (None: it is not known) where that is as large."""
-    return _give_derivative(lambda so_far, first: first > so_far, so_far, first)
+    return _with_derivative(lambda so_far, first: first > so_far, so_far, first)
 
 
 def among(so_far: Peaks | None, peaks: Peaks) -> Peaks:
     """The `peaks` of a saving interval by steps that know of no peaks before it, with the
     derivative of the largest in the run."""
-    return _give_derivative(lambda so_far, peaks: peaks >= so_far, so_far, peaks)
+    return _with_derivative(lambda so_far, peaks: peaks >= so_far, so_far, peaks)
 
 
 def newest(so_far: Any, peaks: Any, counts: Any) -> Any:
@@ -239,7 +239,7 @@ def newest(so_far: Any, peaks: Any, counts: Any) -> Any:
     return derived(larger, rule)(so_far, peaks, counts)
 
 
-def _give_derivative(counts: Callable, so_far: Peaks | None, peaks: Peaks) -> Peaks:
+def _with_derivative(counts: Callable, so_far: Peaks | None, peaks: Peaks) -> Peaks:
     """These `peaks`, with their derivative where it is their own, otherwise that of those
     `so_far`."""
 
@@ -279,7 +279,7 @@ def peaks(
         d_arr, *d_in, _, so_far, _ = tangents
         so_far, length = jax.tree.map(moved, so_far), end[0] - start[0]
         peaks = peaks if before is None else risen(peaks, *before)
-        deeper, share = _find_deepest(peaks.depths, motions, length)
+        deeper, share = _deeper(peaks.depths, motions, length)
         force = _Force(motion, arrays, (start, end), motions, length)
         pressed = force.reaches(peaks.forces)
 
@@ -289,9 +289,9 @@ def peaks(
                 for point, each in zip((start, end), d_in, strict=True)
             ]
             moves = [moved(each[0]) for each in d_in]
-            bent = bends(_cubic_path(motions, length))
+            bent = bends(_path(motions, length))
             result = _at_fixed_times(result, motions, moves, bent, length)
-            depths = jnp.where(deeper, cubic(_cubic_path(result, length), share)[0], so_far.depths)
+            depths = jnp.where(deeper, cubic(_path(result, length), share)[0], so_far.depths)
             forces = force.moved(pressed, (d_arr, d_in[1][1], result), so_far.forces)
             return Peaks(depths, forces)
 
@@ -301,17 +301,17 @@ def peaks(
     return derived(larger, moving)(arrays, *ends, motions, peaks, so_far)
 
 
-def _find_deepest(peaks: PerContact, motions: tuple, length: Any) -> tuple:
+def _deeper(peaks: PerContact, motions: tuple, length: Any) -> tuple:
     """Which contacts are deepest in a step, and at which share of it. One that turns in it has been
     deepest before, at the end of this step or nowhere."""
     before, after = motions
     turns = (before.rates > 0) & (after.rates <= 0)
     turns = turns & (jnp.maximum(before.depths, after.depths) >= peaks)
-    share = jnp.where(turns, summit(_cubic_path(motions, length)), 1.0)
+    share = jnp.where(turns, summit(_path(motions, length)), 1.0)
     return turns | (after.depths > peaks), share
 
 
-def _cubic_path(motions: Any, length: Any) -> tuple:
+def _path(motions: Any, length: Any) -> tuple:
     """Hermite's cubic through the motion at both ends of a step, or what it moves by."""
     before, after = motions
     return before.depths, after.depths, length * before.rates, length * after.rates
@@ -343,12 +343,12 @@ class _Force(NamedTuple):
         step; `d_in`: of (arrays, state, contacts at both ends)."""
         if pressed is None:
             return None
-        rises, share, continues = self._largest_in_step()
+        rises, share, continues = self._summit()
         d_arr, d_state, d_so_far = d_in
         # There a force does not hang on when it is: without the time by which all comes later,
         # which is large beside a contact and would have to cancel. A force that still grows as the
         # step ends is the largest where the run ends with it: at that time, whatever comes later.
-        gains = self._rates_of_motion()
+        gains = self._gains()
         early, late = (_later(*each) for each in zip(self.motions, d_so_far, gains, strict=True))
         later = jnp.where(jnp.less(*self.at_ends()), late, early)
         later = jnp.where(continues, 0.0, later)
@@ -356,12 +356,12 @@ class _Force(NamedTuple):
             ContactMotion(*(x + later * gain for x, gain in zip(now, gains, strict=True)))
             for now, gains in zip(d_so_far, gains, strict=True)
         ]
-        along = lambda arrays, state, path: self._force_at(arrays, state, path, share)
-        numbers = self.arrays, self.ends[1][1], _cubic_path(self.motions, self.length)
-        moves = pushed(along, numbers, (d_arr, d_state, _cubic_path(d_so_far, self.length)))[1]
+        along = lambda arrays, state, path: self._at(arrays, state, path, share)
+        numbers = self.arrays, self.ends[1][1], _path(self.motions, self.length)
+        moves = pushed(along, numbers, (d_arr, d_state, _path(d_so_far, self.length)))[1]
         return jnp.where(pressed & rises, moves, so_far)
 
-    def _rates_of_motion(self) -> list[ContactMotion]:
+    def _gains(self) -> list[ContactMotion]:
         """Rates of the contacts' motion at both ends."""
         contacts = lambda time, state: self.motion.contacts(self.arrays, time, state)
         gains = []
@@ -371,15 +371,15 @@ class _Force(NamedTuple):
             gains.append(jax.jvp(contacts, (time, state), (jnp.ones_like(time), flow))[1])
         return gains
 
-    def _force_at(self, arrays: Any, state: Any, path: tuple, share: Any) -> Any:
+    def _at(self, arrays: Any, state: Any, path: tuple, share: Any) -> Any:
         depths, slopes = cubic(path, share)
         return self.motion.pressing(arrays, state, ContactMotion(depths, slopes / self.length))
 
-    def _largest_in_step(self) -> tuple[Any, Any, Any]:
+    def _summit(self) -> tuple[Any, Any, Any]:
         """Whether each force grows where the step begins, the share of the step up to which it
         does, and whether it still grows as the step ends."""
-        path = _cubic_path(self.motions, self.length)
-        force = lambda share: self._force_at(self.arrays, self.ends[1][1], path, share)
+        path = _path(self.motions, self.length)
+        force = lambda share: self._at(self.arrays, self.ends[1][1], path, share)
 
         def grows(share):
             _, slope = jax.jvp(force, (share,), (jnp.ones_like(share),))

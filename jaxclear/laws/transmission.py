@@ -114,7 +114,7 @@ def holding(deflection: Any, slip: Any, yields: Any, settling: Any) -> tuple[Any
         settling: time constant of the damping [s].
 
     Returns:
-            The share of the largest friction that acts, -1 to 1 along the slip; the rate of the
+        The share of the largest friction that acts, -1 to 1 along the slip; the rate of the
         deflection.
 
     Source: Prandtl 1928, Z. angew. Math. Mech. 8, 85, doi:10.1002/zamm.19280080202 (an elastic,
@@ -129,12 +129,11 @@ def loss(force: Any, share: Any, efficiency: Any, backwards: Any) -> Any:
     r"""Friction [N, N m] against the motion of the driving end of a transmission.
 
     In full :math:`|F|(1/\eta - 1)` where power goes forwards, :math:`|F|(1 - \eta_b)` where it
-    comes
-    back. What comes out is :math:`\eta` times what goes in; one that locks itself has
+    comes back. What comes out is :math:`\eta` times what goes in; one that locks itself has
     :math:`\eta_b < 0`.
 
     Args:
-            force: F, by which the transmission pushes back on that end, positive against a positive
+        force: F, by which the transmission pushes back on that end, positive against a positive
             motion.
         share: of the friction that acts [1], -1 to 1.
         efficiency: :math:`\eta` forwards [1].

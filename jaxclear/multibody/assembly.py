@@ -83,10 +83,10 @@ def assemble_arrays(
         mechanism: whose `start` and `speeds` are met, and whose `guess` is approached.
         concentric: whether journals are put in the middle of their bearings as far as loops allow.
         time: start of the run [s].
-            rough: coordinates and speeds at which the search begins, which decides the mode; None:
+        rough: coordinates and speeds at which the search begins, which decides the mode; None:
             at the
             mechanism's guess.
-            worn: depth maps [m] of surfaces that are worn at the start, by joint and surface; None:
+        worn: depth maps [m] of surfaces that are worn at the start, by joint and surface; None:
             new.
         straight: whether beams start straight and at rest as far as the other equations allow.
     """

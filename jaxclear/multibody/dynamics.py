@@ -96,8 +96,7 @@ def constrained_inverse(
     """Functions that apply M^-1 and that correct accelerations to satisfy constraint rows.
 
     Of rows that depend on each other, the multipliers are the least ones, torques divided by the
-    longest
-    arm; of rows that follow from others at a singular position only, they are 0.
+    longest arm; of rows that follow from others at a singular position only, they are 0.
 
     Args:
         masses: mass matrix of each subtree, rows of entries; empty without free speeds.
@@ -106,7 +105,7 @@ def constrained_inverse(
         dependence: rank of rows that depend on each other; None: they are independent.
 
     Returns:
-            `respond`: columns of generalised forces to columns of accelerations, structurally zero
+        `respond`: columns of generalised forces to columns of accelerations, structurally zero
         where no
             force acts; `constrain`: accelerations and targets of the rows to corrected
         accelerations and

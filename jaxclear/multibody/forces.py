@@ -117,7 +117,7 @@ def applied_forces(
         q: coordinates, a tuple for each link.
         v: speeds, a tuple for each link.
         time: instant [s] of the loads.
-            followed: what the state integrates beside the motion: whole-turn angles, load states,
+        followed: what the state integrates beside the motion: whole-turn angles, load states,
             flanks.
     """
     relative = relative_motions(system, motions) if reports else []
@@ -319,7 +319,7 @@ def as_pressed(
         motions: motion of every link at one instant, in the order of `system.links`.
         load: itself where no element presses it (`load.pressed_by`).
         time: instant [s].
-            followed: what the state integrates beside the motion: whole-turn angles, load states,
+        followed: what the state integrates beside the motion: whole-turn angles, load states,
             flanks.
     """
     name = load.pressed_by()

@@ -313,7 +313,7 @@ def unpack_followed(layout: Layout, entries: Any, shares: Any = None) -> Followe
     Args:
         layout: where they sit.
         entries: of a state, an array or a list of scalars.
-            shares: 1 for touching and 0 for apart, for the two flanks of each play in turn; None:
+        shares: 1 for touching and 0 for apart, for the two flanks of each play in turn; None:
             as their
             positions have it.
     """

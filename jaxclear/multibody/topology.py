@@ -202,8 +202,7 @@ def coordinate_joint(
     """The joint in whose coordinates a name is given and read.
 
     It is the connection's, also where that closes a loop or has clearance; for a body the joint
-    that
-    places it in the ground.
+    that places it in the ground.
 
     Args:
         name: connection, body, or motor.

@@ -69,12 +69,9 @@ def check(program: Program, kernel: Turn, reference: Turn, other: str = "JAX") -
     """Compares one turn of a kernel on random numbers with another evaluation of it.
 
     Where a difference of like numbers is exactly zero in one order of operations and rounding in
-    the
-    other, a choice or quotient that depends on it may differ. That does not recur: one draw may
-    disagree
-    where two agree conclusively; a fault shows in several. States with entries of either sign may
-    be
-    impossible for the loop: among these one draw that agrees outweighs the others.
+    the other, a choice or quotient that depends on it may differ. That does not recur: one draw may
+    disagree where two agree conclusively; a fault shows in several. States with entries of either
+    sign may be impossible for the loop: among these one draw that agrees outweighs the others.
 
     Args:
         program: the loop, its condition and body as JAX programs.

@@ -81,10 +81,10 @@ def write_loop(
         body: function of the state that writes a turn and returns the new state.
         carry: first state, arrays of registers or in memory.
         kinds: of each array: `FLOAT`, `INT` or `TRUTH`.
-            outermost: whether it, and a time loop within it, reads the flag that stops all kernels;
+        outermost: whether it, and a time loop within it, reads the flag that stops all kernels;
             then
             what is unfinished becomes nan.
-            together: whether all samples take the same turns, which the first number of the state
+        together: whether all samples take the same turns, which the first number of the state
             counts.
     """
     # A turn may change them, so that as they were before the loop they can be read no more.

@@ -212,7 +212,7 @@ def frame_code(
         name: of the kernel.
         lanes: samples that the kernel takes at once.
         width, height: floats of a packed row in and out.
-            in_memory: numbers of each sample in each array that is read by index; 0: shared by all
+        in_memory: numbers of each sample in each array that is read by index; 0: shared by all
             samples.
         tables: numbers of each sample in each array that is written, which follow those in memory.
     """

@@ -49,7 +49,7 @@ def handler_text(
         name: of the kernel.
         loaded: the kernel on each device.
         read, written: numbers of arrays in and out.
-            places: addresses of two driver functions in this process: which context a stream has,
+        places: addresses of two driver functions in this process: which context a stream has,
             and the
             launch.
     """

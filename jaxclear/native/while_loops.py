@@ -27,11 +27,11 @@ def while_loop(
     Args:
         condition, body: functions of the state; the body keeps its shapes and types.
         first: initial state, a pytree of arrays.
-            long: prefix of the state, true where arrays may be long; these stand in memory and are
+        long: prefix of the state, true where arrays may be long; these stand in memory and are
             read and
             changed by index; after a change the previous array can no longer be read.
         single_turn: whether it is a function, a loop of one turn.
-            vmapped: whether XLA gets it as if this module had not been used, where it becomes no
+        vmapped: whether XLA gets it as if this module had not been used, where it becomes no
             kernel.
     """
     in_memory = _leaves_in_memory(long, first)

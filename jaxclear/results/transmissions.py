@@ -142,8 +142,7 @@ def sent_at(history: StateHistory, now: Instant, names: tuple[str, ...]) -> tupl
     """Torque or force that couplings transmit at an instant [N m, N].
 
     It is the multiplier of a rigid coupling, the force on the first coordinate of a flexible one,
-    and for
-    a motor that turns with a joint what it gives that joint.
+    and for a motor that turns with a joint what it gives that joint.
 
     Args:
         history: states of the run.

@@ -381,8 +381,7 @@ def wear_by_cells(model: Model, initial: Worn, ended: Worn) -> Figures:
     """How narrow each worn scar is in cells, by contact (`narrowness`).
 
     It is 0 for a surface that has lost nothing since the run began. Depths of a scar hardly wider
-    than a
-    cell depend on the number of cells.
+    than a cell depend on the number of cells.
 
     Args:
         model: of the run.
@@ -408,8 +407,7 @@ def narrowness(
     """Relative difference between the deepest cell and the deepest mean over 3 x 3 cells [1].
 
     A mean over three cells is nine times as far off as that over one where a scar is smooth, so
-    this
-    tells how many cells a scar is wide.
+    this tells how many cells a scar is wide.
 
     Args:
         wear_map: cells of the surface.

@@ -85,8 +85,7 @@ def gap_motion(
     """Inertia force of the journal's motion in its gap over the contact force, by joint [1].
 
     Where a force turns round between two looks parts separate, which `Trajectory.switchings` tells,
-    and
-    nothing is counted.
+    and nothing is counted.
 
     Args:
         looks: rows of `gap_placements`, look after look.

@@ -83,8 +83,7 @@ class Rounded(eqx.Module):
         r"""The gaps [m] of a joint; those level in the middle as :math:`g - g^2 / 2 g_0`.
 
         That is :math:`(c^2 - e^2) / 2c` for a round bore: smooth in the middle, 0 at the wall with
-        the
-        same slope.
+        the same slope.
 
         Args:
             name: of the joint.

@@ -36,7 +36,7 @@ def chosen_integrator(
         mechanism: the nominal one.
         response: functions of a run, by name.
         duration: of a run [s].
-            target: a share of each response's size in the nominal sample [1], or numbers in units
+        target: a share of each response's size in the nominal sample [1], or numbers in units
             by name.
         how: settings of the run.
 

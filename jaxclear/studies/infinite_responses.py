@@ -131,8 +131,7 @@ def bounded(problem: Problem, name: str, values: np.ndarray, levels: Sequence[An
     """Finite values for a surface, infinite ones replaced.
 
     They become the horizon up to which a response is computed, or without one a value beyond all
-    others
-    and the levels.
+    others and the levels.
 
     Args:
         problem: with the response's horizon.

@@ -268,10 +268,10 @@ class MonteCarlo(AbstractAnswer):
         Args:
             response: name of the response.
             content: share of all parts within the limits [1], > 0 and < 1; 0.99 by default.
-                confidence: probability that it is at least that share [1], > 0 and < 1; 0.95 by
+            confidence: probability that it is at least that share [1], > 0 and < 1; 0.95 by
                 default.
             side: "both", "lower" (all parts above a limit) or "upper", a text.
-                normal: whether the response is normal, so that limits are its mean and a factor of
+            normal: whether the response is normal, so that limits are its mean and a factor of
                 its standard
                 deviation; otherwise they are two samples, whatever the distribution.
 

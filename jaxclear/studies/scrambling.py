@@ -87,10 +87,8 @@ def scores_by_scrambling(sizes: np.ndarray, dimensions: int, seed: int) -> np.nd
     """Standard normal numbers (samples, dimensions) in consecutive parts of one scrambled sequence.
 
     The whole is as even as one sequence, and each part is a sample by itself. Parts fill the gaps
-    of each
-    other, so their mean is nearer to the truth than their differences indicate: an error from these
-    is too
-    large rather than too small.
+    of each other, so their mean is nearer to the truth than their differences indicate: an error
+    from these is too large rather than too small.
 
     Args:
         sizes: numbers of samples of the parts.

@@ -32,7 +32,7 @@ def until_accurate(problem: Problem, first: int, most: int, request: Goals, grow
         first: number of samples to begin with.
         most: largest number of samples.
         request: required accuracies.
-            grown: function of a number of samples: pieces of responses by name (samples,), and
+        grown: function of a number of samples: pieces of responses by name (samples,), and
             scramblings.
     """
     count = first

@@ -497,8 +497,8 @@ def pressed_end(
 def ball_end(force: sp.Vec, ratio: tuple, radius: Any, clearance: Any) -> CarryingEnd:
     r"""A ball that carries a force with friction, and the direction in which it leans.
 
-    :math:`F = -N n + m \times n`, with m the friction's torque over the radius, so that
-    :math:`n = -(N F + m \times F) / |F|^2`.
+    :math:`F = -N n + m \times n`, with m the friction's torque over the radius, so that :math:`n =
+    -(N F + m \times F) / |F|^2`.
 
     Args:
         force: on the ball [N].

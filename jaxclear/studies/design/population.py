@@ -49,7 +49,7 @@ def points(
         samples: points around each centre.
         seed: of the scrambling.
         shifts: centres (variables,) of rare regions, besides the middle.
-            matched: whether mean and covariance are made those of the distribution; without shifts
+        matched: whether mean and covariance are made those of the distribution; without shifts
             only.
 
     Source: Veach & Guibas 1995, SIGGRAPH 95, 419, doi:10.1145/218380.218498.

@@ -62,7 +62,7 @@ def chosen(moments: list[np.ndarray], costs: np.ndarray, target: np.ndarray, par
     """The chain of models of least work for means of a given accuracy.
 
     Args:
-            moments: of each model in the pilot sample, shape (samples, moments), the accurate one
+        moments: of each model in the pilot sample, shape (samples, moments), the accurate one
             first.
         costs: of a run of each model.
         target: accuracy of each mean, shape (responses,).

@@ -155,7 +155,7 @@ def regression(
     Args:
         statistics: shape (runs, statistics).
         unknowns: shares of their priors [1], shape (runs, unknowns).
-            groups: number of the group of each run; a group is left out as a whole. None: each run
+        groups: number of the group of each run; a group is left out as a whole. None: each run
             alone.
     """
     whiten = whitened(statistics)

@@ -141,8 +141,7 @@ def settle(
     """Cycles from a state until one is periodic, or their mean is accurate, or patience ends.
 
     Without a periodic one, all but the first count where a mean was wanted, otherwise the later
-    half. A
-    cycle that fails is the last.
+    half. A cycle that fails is the last.
 
     Args:
         run: function of a motion and worn surfaces: a cycle.

@@ -45,10 +45,8 @@ def subset(model: RunModel, variation: float, most_runs: int, seed: int) -> Prob
     """Probability of failing by subset simulation.
 
     It is too high by up to half the square of a single repetition's coefficient of variation,
-    because its
-    levels are its own samples'. That is part of the error, and where it dominates the levels are
-    doubled
-    and the repetitions begin anew.
+    because its levels are its own samples'. That is part of the error, and where it dominates the
+    levels are doubled and the repetitions begin anew.
 
     Args:
         model: margins by runs.

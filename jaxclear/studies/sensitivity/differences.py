@@ -61,8 +61,7 @@ class Runs(NamedTuple):
         """An estimate with its runs, their warnings, and a doubt where samples fail in part.
 
         Samples of which some runs fail and others do not lie at an edge of what can be run, where
-        slopes may
-        be any.
+        slopes may be any.
 
         Args:
             problem: says what concerns the response.

@@ -295,8 +295,7 @@ def weights(problem: Problem, direction: Direction, normal: np.ndarray) -> np.nd
     """Score function of the sample's distribution, shape (samples,) [1/unit].
 
     The derivative of a mean is the mean of the response times this, plus what the ends of the
-    distribution
-    add.
+    distribution add.
 
     Args:
         problem: with the joint distribution.

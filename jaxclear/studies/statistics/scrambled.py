@@ -284,10 +284,8 @@ def error_budget(
     """Parts of the variance of a response by variable, the rest last; they sum to the variance.
 
     A plane through the responses has a slope by every variable; slope times deviation, squared, is
-    that
-    variable's part. The rest holds curvature, interactions and chaos. Of correlated variables a
-    part holds
-    half of what each pair shares, and may be negative.
+    that variable's part. The rest holds curvature, interactions and chaos. Of correlated variables
+    a part holds half of what each pair shares, and may be negative.
 
     Args:
         values: of the variables, shape (samples, variables).

@@ -253,8 +253,7 @@ def in_turn(
     """As `side_by_side`, in the caller's thread.
 
     It serves samples that are no compiled program: they may call LAPACK, which is not known before,
-    and
-    each of their runs reacts to Ctrl-C.
+    and each of their runs reacts to Ctrl-C.
 
     Args:
         one: function of a number.
@@ -388,8 +387,7 @@ def evaluate_all(
     """Results of samples, in their order; arrays on the host.
 
     What the current store holds is not computed; what it lacks is saved, each chunk as it is
-    finished, and
-    computed by one of the processes that share the folder.
+    finished, and computed by one of the processes that share the folder.
 
     Args:
         problem: that is run.
