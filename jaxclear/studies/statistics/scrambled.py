@@ -4,9 +4,11 @@ Means, standard deviations and all that is made of them are taken from the whole
 error from leaving out one scrambling after the other (a jackknife of groups): right for correlated
 points within a scrambling, for smooth functions of means. The interval of a quantile is that of the
 share of samples below it, read off as quantiles (Woodruff). All intervals are Student's, 95 %;
-where contributions are skewed, as squares are, the farther end is moved by what skewness adds.
+where contributions are skewed, as squares are, the farther end is that of the transformation that
+takes skewness away (Hall). Few scramblings tell of it less than all samples, where these are known.
 
 Source: jackknife of groups: Miller 1974, Biometrika 61, 1, doi:10.1093/biomet/61.1.1; skewness:
+Hall 1992, J. R. Stat. Soc. B 54, 221, doi:10.1111/j.2517-6161.1992.tb01876.x; its first order:
 Johnson 1978, J. Am. Stat. Assoc. 73, 536, doi:10.1080/01621459.1978.10480051; quantiles: Woodruff
 1952, J. Am. Stat. Assoc. 47, 635, doi:10.1080/01621459.1952.10483443; smooth ones: Harrell & Davis
 1982, Biometrika 69, 635, doi:10.1093/biomet/69.3.635; shares of which few samples tell: Clopper &
@@ -106,11 +108,12 @@ def jackknifed(
     statistic: Callable[..., float],
     values: np.ndarray,
     group: np.ndarray,
-    skewed: bool = False,
+    contributions: np.ndarray | None = None,
     grouped: bool = False,
 ) -> Statistic:
-    """A smooth function of means over the sample, with its interval; `skewed`: of no mean, so that
-    contributions may be; `grouped`: the function takes the scramblings beside the values."""
+    """A smooth function of means over the sample, with its interval; `contributions` (samples,) of
+    samples to it, to a factor and a summand, if they are known; `grouped`: the function takes the
+    scramblings beside the values."""
     if len(values) < 2:
         return UNKNOWN
     of = statistic if grouped else lambda values, group: statistic(values)
@@ -118,24 +121,60 @@ def jackknifed(
     parts = pseudo_values(lambda mask: of(values[mask], group[mask]), group)
     if len(parts) < 2 or not np.all(np.isfinite(parts)):
         return Statistic(value, -np.inf, np.inf)
-    half = half_width(parts)
-    far = skewed_half(parts) if skewed else half
-    low, high = (half, far) if np.mean((parts - parts.mean()) ** 3) > 0 else (far, half)
-    return Statistic(value, value - low, value + high)
+    below, above = half_widths(parts, contributions)
+    return Statistic(value, value - below, value + above)
 
 
-def skewed_half(parts: np.ndarray) -> float:
-    """How far the farther end of the 95 % interval of the mean of contributions (scramblings,) is
-    away, to the first order of their skewness: of that beyond what few normal ones would show."""
-    count, spread = len(parts), float(parts.std(ddof=1))
-    times = student(count)
-    half = times * spread / np.sqrt(count)
+def half_widths(parts: np.ndarray, contributions: np.ndarray | None = None) -> tuple[float, float]:
+    """How far the ends of the 95 % interval of the mean of contributions of scramblings (parts,)
+    lie below and above it, by their skewness: what few of them show beyond what normal ones would,
+    or, better, what the `contributions` (samples,) of all samples do."""
+    count, spread, half = len(parts), float(parts.std(ddof=1)), half_width(parts)
     # What differs by rounding only has no shape.
     if spread <= ROUNDING * abs(float(parts.mean())) or count < 3:
-        return half
-    chance = 6 * count * (count - 1) / ((count - 2) * (count + 1) * (count + 3))
-    skewness = np.sqrt(max(float(scipy.stats.skew(parts, bias=False)) ** 2 - chance, 0.0))
-    return half + skewness * spread * (2 * times**2 + 1) / (6 * count)
+        return half, half
+    if contributions is None:
+        chance = 6 * count * (count - 1) / ((count - 2) * (count + 1) * (count + 3))
+        skewness = float(scipy.stats.skew(parts, bias=False))
+        size = np.sqrt(max(skewness**2 - chance, 0.0))
+        # Of what few parts tell Hall's first order, which is Johnson's.
+        far = half + size * spread * (2 * student(count) ** 2 + 1) / (6 * count)
+        return (half, far) if skewness > 0 else (far, half)
+    skewness = skewness_of_parts(contributions, count)
+    # Hall's cubic, turned round; in standard deviations of the parts.
+    shape, times = max(abs(skewness), np.sqrt(ROUNDING)), student(count) / np.sqrt(count)
+    far = 3 / shape * (1 - np.cbrt(1 - shape * (times + shape / (6 * count)))) * spread
+    far = max(float(far), half)
+    return (half, far) if skewness > 0 else (far, half)
+
+
+def skewness_of_parts(contributions: np.ndarray, count: int) -> float:
+    """Skewness [1] of the means of `count` scramblings of contributions (samples,): that of
+    independent samples, or that of what even points leave, whichever is larger. Even points take
+    one of so many neighbours in their order each, so only differences of neighbours are left."""
+
+    def skewness(rows: np.ndarray) -> float:
+        away = rows - rows.mean(axis=1, keepdims=True)
+        size = rows.shape[1]
+        variance = np.sum(away**2) / (size - 1)
+        cube = np.sum(away**3) * size / ((size - 1) * (size - 2))
+        return float(cube / variance**1.5) if variance > 0 else 0.0
+
+    if len(contributions) < 3:
+        return 0.0
+    ordered = np.sort(contributions)
+    points, more = divmod(len(ordered), count)
+    middle = (len(ordered) - more) // 2
+    even = np.delete(ordered, slice(middle, middle + more)).reshape(points, count)
+    independent = skewness(ordered[None]) / np.sqrt(max(points, 1))
+    return max(independent, skewness(even), key=abs) if points else independent
+
+
+def contributions_to_moments(values: np.ndarray, deviations: float) -> np.ndarray:
+    """Contributions (samples,) to the mean of values plus so many standard deviations."""
+    spread = float(values.std())
+    away = values - values.mean()
+    return values + deviations * away**2 / (2 * spread) if spread > 0 else values
 
 
 def deviation_of_moments(
@@ -154,7 +193,7 @@ def deviation_of_moments(
         return second[mask].mean() - (one.sum() ** 2 - (one**2).sum()) / (n * (n - 1))
 
     full, each = variance(np.ones(count, bool)), np.arange(count)
-    half = skewed_half(pseudo_values(variance, each))
+    half = max(half_widths(pseudo_values(variance, each)))
     half = float(np.hypot(half, student(count) * np.sqrt(extra_variance)))
     root = float(np.sqrt(max(full, 0.0)))
     return root, half / (2 * root) if root > 0 else np.inf
