@@ -228,8 +228,7 @@ class MonteCarlo(AbstractAnswer):
 
     def mean(self, response: str) -> Statistic:
         """Mean of a response."""
-        mean = self._jackknifed(np.mean, response, lambda values: values, grouped=False)
-        return mean.in_unit(self._unit(response))
+        return self.statistic(np.mean, response).in_unit(self._unit(response))
 
     def standard_deviation(self, response: str) -> Statistic:
         """Standard deviation of a response."""

@@ -126,8 +126,8 @@ def screening(
             effects[name, variable] = change / share
             defined = effects[name, variable][np.isfinite(change)]
             group = np.arange(len(defined))
-            sizes, squares = np.abs(defined), (defined - defined.mean()) ** 2
-            mu_star[name, variable] = jackknifed(np.mean, sizes, group, sizes)
+            squares = (defined - defined.mean()) ** 2
+            mu_star[name, variable] = jackknifed(np.mean, np.abs(defined), group)
             sigma[name, variable] = jackknifed(deviation, defined, group, squares, grouped=True)
     counts = len(values), int((~good).sum())
     return Screening(

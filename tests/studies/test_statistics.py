@@ -8,12 +8,7 @@ from scipy import stats
 
 import jaxclear as jc
 from jaxclear.studies.statistics.limits import fewest, normal_factor
-from jaxclear.studies.statistics.scrambled import (
-    half_widths,
-    skewness_of_parts,
-    smooth_quantile,
-    student,
-)
+from jaxclear.studies.statistics.scrambled import half_widths, smooth_quantile, student
 
 D = jc.distribution
 # A stack of four parts: gap = d - a - b - c, normal with mean 0.5 mm.
@@ -195,9 +190,9 @@ LAWS = {
     ("samples", "seeds"), [(256, 100), pytest.param(1024, 400, marks=pytest.mark.slow)]
 )
 def test_intervals_of_skewed_statistics_hold_their_closed_forms(samples, seeds):
-    """Of three numbers. Student's intervals miss the deviation of a lognormal above in 16 % of
-    cases, of an exponential in 6 %; 2.5 % are expected, and twice as many by chance of 100 once in
-    20. Of a lognormal the samples hardly know how skewed they are."""
+    """Of three numbers. The skewness of eight scramblings alone left 16 % of deviations of a
+    lognormal above the interval, and 6 % of an exponential; 2.5 % are expected, 3 to 6 measured.
+    Of a lognormal the samples hardly know how skewed they are."""
     three = {name: jc.Dimension(0.0, D.Normal(1.0)) for name in "abc"}
     asked = jc.FunctionProblem(
         lambda a, b, c: {name: of((a + b + c) / np.sqrt(3)) for name, (of, *_) in LAWS.items()},
@@ -217,22 +212,28 @@ def test_intervals_of_skewed_statistics_hold_their_closed_forms(samples, seeds):
         normal = study.standard_deviation("normal")
         width.append(0.5 * (normal.high - normal.low))
     shares = {name: count / seeds for name, count in missed.items()}
-    assert all(share <= (0.13 if "log" in name else 0.08) for name, share in shares.items()), shares
+    assert all(share <= (0.15 if "log" in name else 0.09) for name, share in shares.items()), shares
     # That of independent normal numbers, by Student's factor of eight scramblings.
     assert np.median(width) < 1.5 * student(8) / np.sqrt(2 * samples)
 
 
-def test_skewness_of_parts_is_that_of_independent_or_of_even_points():
-    """Parts of one number each are as skewed as these. One of eight neighbours each leaves the
-    skewness of eight neighbours: of two levels none, of a rare one its own."""
-    squares = np.random.default_rng(0).chisquare(1, 400)
-    exact = stats.skew(squares, bias=False)
-    assert skewness_of_parts(squares, 400) == pytest.approx(exact, rel=1e-9)
-    two = np.repeat([0.0, 1.0], 128)
-    assert abs(skewness_of_parts(two, 8)) < 1e-12
-    rare = np.r_[np.zeros(255), 1.0]
-    assert skewness_of_parts(rare, 8) == pytest.approx(stats.skew(rare[-8:], bias=False), rel=1e-9)
-    assert skewness_of_parts(np.ones(256), 8) == 0.0 == skewness_of_parts(np.ones(2), 8)
+@pytest.mark.parametrize("rare", [1, 2, 3])
+def test_the_end_of_a_skewed_interval_is_that_of_gamma_parts(rare):
+    """Student's statistic of eight parts with a gamma distribution lies below it in 2.5 % of cases:
+    of 100 000 draws 5.2 (skewness 2.3), 3.3 and 2.7 standard errors, for 2.36 of normal ones."""
+    samples = np.repeat([0.0, 1.0], [8 - rare, rare])
+    shape, rng = 4 / stats.skew(samples) ** 2, np.random.default_rng(0)
+    rows = rng.gamma(shape, size=(100_000, 8)) - shape
+    exact = -np.quantile(rows.mean(axis=1) / rows.std(axis=1, ddof=1) * np.sqrt(8), 0.025)
+    # Parts that show no skewness themselves.
+    parts = np.array([-3.0, -2.0, -1.0, -0.5, 0.5, 1.0, 2.0, 3.0])
+    for sign in (1, -1):
+        below, above = half_widths(parts, sign * samples) / parts.std(ddof=1) * np.sqrt(8)
+        near, far = (below, above) if sign > 0 else (above, below)
+        assert near == pytest.approx(student(8), rel=1e-12)
+        assert far == pytest.approx(exact, rel=0.1)
+    near = half_widths(parts)
+    assert half_widths(parts, np.ones(60)) == half_widths(parts, np.ones(2)) == near
 
 
 @pytest.mark.parametrize("samples", [1, 2, 3, 4])

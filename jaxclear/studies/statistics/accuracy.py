@@ -46,7 +46,7 @@ def missed_accuracies(request: Goals, pieces: Iterable[Piece]) -> dict[str, tupl
     short = {}
     for name, target in request[0].items():
         values, group = (np.concatenate(part) for part in zip(*columns[name], strict=True))
-        half = jackknifed(np.mean, values, group, values).error if len(values) > 1 else np.inf
+        half = jackknifed(np.mean, values, group).error if len(values) > 1 else np.inf
         size = float(np.sqrt(np.mean(values**2))) if request[1] and len(values) else 1.0
         # A response that is always zero is known.
         if not half <= target * size:
