@@ -134,9 +134,9 @@ def study(
     runs = paper_runs(duration, round(duration * SAVES_PER_SECOND) + 1)
     table = run_table(runs)
     files.write_tables(runs=table)
-    _show(table.drop(columns="result"))
+    _print_table(table.drop(columns="result"))
     question = problem(TURN * turns, round(SAVES_PER_TURN * turns) + 1)
-    sample = _monte_carlo(question, samples, files, show)
+    sample = _run_monte_carlo(question, samples, files, show)
     print("derivatives with respect to clearance", flush=True)
     pairs = max(16, samples // 2)
     answers = jc.sensitivity(
@@ -150,17 +150,17 @@ def study(
     print(f"\n{files.sentence()}")
 
 
-def _show(table: pandas.DataFrame) -> None:
+def _print_table(table: pandas.DataFrame) -> None:
     print(f"\n{table}\n", flush=True)
 
 
-def _monte_carlo(question: jc.Problem, samples: int, files: StudyFolder, show: bool) -> Any:
+def _run_monte_carlo(question: jc.Problem, samples: int, files: StudyFolder, show: bool) -> Any:
     turns = question.duration / TURN
     print(f"Monte Carlo, {samples} samples over {turns:g} turn(s) of the crank", flush=True)
     sample = jc.monte_carlo(question, samples, progress_bar=show)
     files.write_tables(monte_carlo=sample.table(), monte_carlo_summary=sample.summary())
     # The files hold every error; the screen that of the mean.
-    _show(sample.summary().drop(columns=[f"{name} error" for name in UNSHOWN]))
+    _print_table(sample.summary().drop(columns=[f"{name} error" for name in UNSHOWN]))
     report_samples(sample)
     return sample
 

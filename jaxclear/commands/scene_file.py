@@ -44,12 +44,12 @@ def keep(scene: jc.Scene, run: jc.Trajectory, folder: Path, name: str) -> pandas
     table = joint_table(run)
     if len(table):
         table.to_csv(folder / JOINTS, index=False)
-    for title, figure in _figures(run).items():
+    for title, figure in _draw_figures(run).items():
         figure.savefig(folder / f"{title}.png", dpi=DOTS_PER_INCH)
     data = run.to_dataset(flat=True)
     data.to_netcdf(folder / DATA, engine="scipy")
     texts = {"result": run.result, "warnings": list(run.warnings), "checks": str(run)}
-    _tell(scene, folder, {"title": f"Run of {name}", **texts})
+    _write_description(scene, folder, {"title": f"Run of {name}", **texts})
     return table
 
 
@@ -79,11 +79,11 @@ def keep_positions(scene: jc.Scene, positions: Any, folder: Path, name: str) -> 
     data.to_netcdf(folder / STANDING, engine="scipy")
     sentence = f"The mechanism stands at {len(table)} positions."
     texts = {"result": sentence, "warnings": [], "checks": sentence}
-    _tell(scene, folder, {"title": f"Positions of {name}", **texts})
+    _write_description(scene, folder, {"title": f"Positions of {name}", **texts})
     return table
 
 
-def _tell(scene: jc.Scene, folder: Path, texts: dict[str, Any]) -> None:
+def _write_description(scene: jc.Scene, folder: Path, texts: dict[str, Any]) -> None:
     """Keeps the scene, how it ended, and by which versions."""
     jc.write_scene(scene, folder / SCENE)
     text = json.dumps(texts | {"versions": library_versions()}, indent=1)
@@ -111,10 +111,10 @@ def joint_table(run: jc.Trajectory) -> pandas.DataFrame:
     return as_table(rows)
 
 
-def _figures(run: jc.Trajectory) -> dict[str, Figure]:
+def _draw_figures(run: jc.Trajectory) -> dict[str, Figure]:
     """Figures by the names of their files."""
     joints = run.formulation.contact_joints(run.mechanism)
-    figures = {"motion": _motion(run)}
+    figures = {"motion": _draw_motion(run)}
     if joints:
         figures["contact_forces"] = _forces(run, joints)
         figures["modes"] = plot.modes(run)
@@ -124,7 +124,7 @@ def _figures(run: jc.Trajectory) -> dict[str, Figure]:
     return figures
 
 
-def _motion(run: jc.Trajectory) -> Figure:
+def _draw_motion(run: jc.Trajectory) -> Figure:
     """Places of the bodies' centres of mass over time, an axis for each direction that they move
     in."""
     places = {
@@ -264,9 +264,9 @@ def fmu(
             content.mechanism,
             file,
             integrator=content.integrator,
-            inputs=dict(map(_named, input)),
+            inputs=dict(map(_parse_name_and_number, input)),
             outputs=content.responses or None,
-            parameters=dict(map(_named, parameter)),
+            parameters=dict(map(_parse_name_and_number, parameter)),
             slopes=slope,
             kinds=kinds,
             interval=interval,
@@ -276,7 +276,7 @@ def fmu(
     click.echo(str(unit))
 
 
-def _named(text: str) -> tuple[str, str]:
+def _parse_name_and_number(text: str) -> tuple[str, str]:
     """A name and the number that it stands for, as typed. Raises `ValueError`."""
     name, _, number = text.partition("=")
     if not number:
@@ -347,7 +347,7 @@ def identify(
     with mistakes_told():
         content = read(scene)
         signals = dict(map(sensor_of, signal))
-        column, unit, *part = _time_of(time)
+        column, unit, *part = _parse_time_column(time)
         with contextlib.suppress(TypeError, ValueError):
             turn = float(turn)  # type: ignore[arg-type,assignment]
         records = [
@@ -363,11 +363,11 @@ def identify(
     plot.identification(result).savefig(folder / "identified.png", dpi=DOTS_PER_INCH)
     result.to_dataset().to_netcdf(folder / "identified.nc", engine="scipy")
     texts = {"result": result.sentence(), "warnings": list(result.warned), "checks": str(result)}
-    _tell(content, folder, {"title": f"Identification of {scene.name}", **texts})
+    _write_description(content, folder, {"title": f"Identification of {scene.name}", **texts})
     click.echo(f"Table, data set and figure in {folder.resolve()}; jaxclear report {folder}")
 
 
-def _time_of(text: str) -> tuple[str, str, float, float]:
+def _parse_time_column(text: str) -> tuple[str, str, float, float]:
     """Column, unit, and begin and end [s] of what counts, as typed: t, t:ms or t:ms:0.1:0.6."""
     column, unit, begin, end, *more = [*text.split(":"), "", "", ""]
     try:
@@ -404,7 +404,7 @@ def monte_carlo(
                 content.problem(), samples, folder=folder, seed=seed, chunk=chunk, progress_bar=show
             )
     finally:
-        _remember(scene, folder)
+        _copy_scene(scene, folder)
     table = study.summary()
     click.echo(f"\n{table}\n")
     report_samples(study)
@@ -413,7 +413,7 @@ def monte_carlo(
         raise click.ClickException("every sample failed.")
 
 
-def _remember(scene: Path, folder: Path) -> None:
+def _copy_scene(scene: Path, folder: Path) -> None:
     """Keeps the scene beside its samples, once there are any."""
     file = folder / SCENE
     if folder.is_dir() and any(folder.iterdir()) and not file.exists():

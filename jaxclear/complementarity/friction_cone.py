@@ -72,7 +72,7 @@ def one_contact(
     tangents = block[1:, 1:] - jnp.outer(block[1:, 0], coupling)
     push = free[1:] - block[1:, 0] * free[0] / stiff
     normal = lambda tangent: -free[0] / stiff - coupling @ tangent
-    stick = -_inverse(tangents, 0.0) @ push
+    stick = -_regularised_inverse(tangents, 0.0) @ push
     sticks = safe_sqrt(stick @ stick) <= mu * normal(stick)
     if free.shape[0] == 2:
         direction = -jnp.sign(push)
@@ -84,7 +84,7 @@ def one_contact(
     return jnp.where(pressed, jnp.where(sticks, jnp.append(normal(stick), stick), slide), 0.0)
 
 
-def _inverse(matrix, alpha):
+def _regularised_inverse(matrix, alpha):
     """(matrix + alpha)^-1 for one or two rows by Cramer's rule, zero where it is singular."""
     if matrix.shape[0] == 1:
         return safe_divide(1.0, matrix + alpha)
@@ -97,7 +97,7 @@ def _sliding_direction(tangents, push, normal, coupling, mu):
 
     def improve(_, carry):
         alpha, low, high = carry
-        inverse = _inverse(tangents, alpha)
+        inverse = _regularised_inverse(tangents, alpha)
         tangent = -inverse @ push
         slope = -inverse @ tangent
         size = safe_sqrt(tangent @ tangent)
@@ -111,7 +111,7 @@ def _sliding_direction(tangents, push, normal, coupling, mu):
         return jnp.where(inside, newton, middle), low, high
 
     alpha, _, _ = jax.lax.fori_loop(0, LOCAL_STEPS, improve, (0.0, 0.0, jnp.inf))
-    tangent = -_inverse(tangents, alpha) @ push
+    tangent = -_regularised_inverse(tangents, alpha) @ push
     return safe_divide(1.0, safe_sqrt(tangent @ tangent)) * tangent
 
 

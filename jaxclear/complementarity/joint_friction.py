@@ -140,7 +140,7 @@ class JointFriction(AbstractProblem):
         """
         rule, place = self.ratios[k], self.place(k)
         if isinstance(rule, (Caught, Opposed)):
-            return self._on_ball(k, friction, rule)
+            return self._solve_ball(k, friction, rule)
         i = place.start
         if isinstance(rule, Between):
             stiff = jnp.maximum(self.delassus[i][i], self.softest[i])
@@ -153,7 +153,7 @@ class JointFriction(AbstractProblem):
         friction_there = jnp.clip(target, -low, high)
         return [friction_there], jnp.maximum(low, high), friction_there == target
 
-    def _on_ball(self, k: int, friction: Float[Array, " k"], rule: Any) -> tuple[list, Any, Any]:
+    def _solve_ball(self, k: int, friction: Float[Array, " k"], rule: Any) -> tuple[list, Any, Any]:
         """A ball that would stick with friction inside the disc sticks; one that would not is moved
         against its slip onto the disc's edge."""
         (force,) = self.carried(k, friction, (0.0,) * 3)
@@ -166,7 +166,7 @@ class JointFriction(AbstractProblem):
             friction_there = [-bound * safe_divide(x, speed) for x in slip]
         else:
             bound = rule.share * size
-            friction_there = self._caught(k, friction, frame, bound)
+            friction_there = self._solve_caught(k, friction, frame, bound)
         within = sp.norm(friction_there) < bound
         return (
             [sp.dot(friction_there, column) for column in zip(*frame, strict=True)],
@@ -174,7 +174,7 @@ class JointFriction(AbstractProblem):
             within,
         )
 
-    def _caught(self, k: int, friction: Float[Array, " k"], frame: tuple, bound: Any) -> list:
+    def _solve_caught(self, k: int, friction: Float[Array, " k"], frame: tuple, bound: Any) -> list:
         components = range(self.place(k).start, self.place(k).stop)
         block = [[self.delassus[i][j] for j in components] for i in components]
         pulled = [[sp.dot(row, axis) for row in block] for axis in frame]
@@ -254,7 +254,7 @@ class BoxedGaussSeidel(AbstractSolver):
             largest = jnp.where(largest > 0, largest, 1.0)
             change = jnp.max(jnp.abs(friction - before)) / largest
             if problem.components() > 1:
-                moved = _moved(problem, friction - before) / largest
+                moved = _force_for_change(problem, friction - before) / largest
                 idle = within & (change > DRIFTS * last) & (moved <= self.tolerance)
                 change = jnp.where(idle, moved, change)
             return friction, total, change, sweeps + 1
@@ -280,7 +280,7 @@ class BoxedGaussSeidel(AbstractSolver):
         return friction, total, largest, all_within
 
 
-def _moved(problem: JointFriction, change: Array) -> Any:
+def _force_for_change(problem: JointFriction, change: Array) -> Any:
     """The largest friction [N] that would by itself move its joint as this change of all does."""
     stiff = [jnp.maximum(row[i], problem.softest[i]) for i, row in enumerate(problem.delassus)]
     moved = [sp.dot(row, change) / x for row, x in zip(problem.delassus, stiff, strict=True)]

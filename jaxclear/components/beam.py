@@ -255,7 +255,7 @@ def with_pieces(
         return bodies, connections, loads
     built = [name for name in beams if f"{name} elasticity" in loads]
     bodies, *joined = without_pieces(bodies, connections, loads, stale)
-    connections, loads = (_moved(lambda x: on_piece(beams, x, built), parts) for parts in joined)
+    connections, loads = (_move(lambda x: on_piece(beams, x, built), parts) for parts in joined)
     for name, beam in beams.items():
         hinges, ends = beam.hinges(name), beam.ends()
         joints = {}
@@ -308,11 +308,11 @@ def without_pieces(
         return part.child.body in pieces and len({on_beam(end).body for end in ends}) == 1
 
     rest = ({n: x for n, x in parts.items() if not is_part(x)} for parts in (connections, loads))
-    connections, loads = (_moved(on_beam, parts) for parts in rest)
+    connections, loads = (_move(on_beam, parts) for parts in rest)
     return {n: x for n, x in dict.items(bodies) if n not in pieces}, connections, loads
 
 
-def _moved(move: Callable[[Marker], Marker], parts: Mapping[str, Any]) -> dict[str, Any]:
+def _move(move: Callable[[Marker], Marker], parts: Mapping[str, Any]) -> dict[str, Any]:
     """Parts with every marker moved."""
     one = lambda x: move(x) if isinstance(x, Marker) else x
     leaf = lambda x: isinstance(x, Marker)

@@ -183,7 +183,7 @@ class CylinderMap(AbstractRound):
         """Of each row at an end the depth at the edge, column by column, the last two in front and
         the first two behind."""
         rows = []
-        for row, inside in self._edges():
+        for row, inside in self._edge_rows():
             edge = edge_depth(depth[:, row], depth[:, inside])
             rows.append(jnp.concatenate([edge[-2:], edge, edge[:2]]))
         return tuple(rows)
@@ -194,7 +194,7 @@ class CylinderMap(AbstractRound):
         def visit(_, place, reading):
             column = place[0]
             ends = []
-            for r, (row, inside) in zip(reading, self._edges(), strict=True):
+            for r, (row, inside) in zip(reading, self._edge_rows(), strict=True):
                 last, further = (entry(depth, (column, each)) for each in (row, inside))
                 ends.append(with_entry(r, (column + 2,), edge_depth(last, further)))
             return tuple(ends)
@@ -205,7 +205,7 @@ class CylinderMap(AbstractRound):
             reading = tuple(with_entry(r, (to,), entry(r, (of,))) for r in reading)
         return reading
 
-    def _edges(self) -> list[tuple[int, Any]]:
+    def _edge_rows(self) -> list[tuple[int, Any]]:
         """(row, the next further inside) at the lower and the upper end; one of a single row."""
         last = self.cells[1] - 1
         inside = jnp.minimum(self.side, last)

@@ -82,12 +82,12 @@ class Point(NamedTuple):
     half_arc: Scalar
 
 
-def _travel(
+def _direction_of_spread(
     normal: Float[Array, "3"], products: Float[Array, "5"], drowned: float
 ) -> tuple[Array, Scalar]:
     """(direction across the mean `normal` in which directions spread most, how much more there than
     across it relative to both) from the mean products of their components. Where they spread by
-    little beside an angle at which they are `drowned` [rad], it is that `_along_the_wall`: the mean
+    little beside an angle at which they are `drowned` [rad], it is that `_tangent_to`: the mean
     over a cell that is taken in it is that of its pressure, whichever it is."""
     xx, xy, xz, yy, yz = products
     spread = jnp.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, 1.0 - xx - yy]])
@@ -95,7 +95,7 @@ def _travel(
     spread = across @ spread @ across
     both, more = _sum_and_difference(spread)
     moves = both > STILL
-    some = _along_the_wall(normal)
+    some = _tangent_to(normal)
     # Cells with unlike sides would tell which way rounding points.
     spread = jnp.where(moves, spread, 0.0) + drowned * drowned * jnp.outer(some, some)
     of_both, of_more = _sum_and_difference(spread)
@@ -113,7 +113,7 @@ def _sum_and_difference(spread: Float[Array, "3 3"]) -> tuple[Scalar, Scalar]:
     return both, safe_sqrt(2.0 * jnp.sum(spread * spread) - both * both)
 
 
-def _along_the_wall(normal: Float[Array, "3"]) -> Float[Array, "3"]:
+def _tangent_to(normal: Float[Array, "3"]) -> Float[Array, "3"]:
     """A direction of length 1 across a normal, in the plane of the two axes nearest to it."""
     x, y, z = normal
     zero = jnp.zeros_like(x)
@@ -218,7 +218,7 @@ class SphereMap(AbstractRound):
 
     def contact(self, volume, features):
         normal, length = self.mean_direction(features)
-        travel, share = _travel(jnp.stack(normal), features[3:8], DROWNED * self.cell)
+        travel, share = _direction_of_spread(jnp.stack(normal), features[3:8], DROWNED * self.cell)
         half_arc = arc(length) * safe_sqrt(share)
         square, unresolved = half_arc * half_arc, (UNRESOLVED * self.cell) ** 2
         fixed = jax.lax.stop_gradient(travel)

@@ -145,23 +145,23 @@ class Patch(NamedTuple):
         first, last = self.along + self.half, self.along - self.half
         around = first - 2.0 * jnp.pi
         first, last, around = (
-            _segment(safe_divide(end, half_width)) for end in (first, last, around)
+            _half_disc_integral(safe_divide(end, half_width)) for end in (first, last, around)
         )
         swept = first - last + around + 0.25 * jnp.pi
         return safe_sqrt(overlap) * half_width * swept / (2.0 * self.half)
 
 
 @jax.custom_jvp
-def _segment(x: Float[Array, "..."]) -> Float[Array, "..."]:
+def _half_disc_integral(x: Float[Array, "..."]) -> Float[Array, "..."]:
     """Integral of sqrt(1 - t^2) from 0 to x, which lies within -1 and 1 or is taken so."""
     x = jnp.clip(x, -1.0, 1.0)
     return 0.5 * (x * safe_sqrt(1.0 - x * x) + arc_sine(x))
 
 
-@_segment.defjvp
-def _segment_jvp(primals, tangents):
+@_half_disc_integral.defjvp
+def _half_disc_integral_jvp(primals, tangents):
     (x,), (x_dot,) = primals, tangents
-    return _segment(x), safe_sqrt(1.0 - x * x) * x_dot
+    return _half_disc_integral(x), safe_sqrt(1.0 - x * x) * x_dot
 
 
 class Touched(NamedTuple):
@@ -347,7 +347,7 @@ class AbstractSurface(AbstractWearMap):
         def closer(target, patch, level):
             # A product with a vector is several times faster than a sum.
             sums = (jnp.sum(cells @ area) for cells in patch.overlapped(level))
-            return _next_level(level, target, *sums)
+            return _improve_level(level, target, *sums)
 
         target = contact.removed + contact.overlap
         # Held as they are: a loop that ends by itself has no derivative in reverse mode.
@@ -367,7 +367,7 @@ class AbstractSurface(AbstractWearMap):
     def deposit_in_turn(self, depth, reading, pressures, volume, features):
         events = zip(volume, features, pressures, strict=True)
         shares, pressures = zip(
-            *(self._share_in_turn(depth, *event) for event in events), strict=True
+            *(self._share_cell_by_cell(depth, *event) for event in events), strict=True
         )
         for (touched, scale), pressure in zip(shares, pressures, strict=True):
 
@@ -386,7 +386,7 @@ class AbstractSurface(AbstractWearMap):
         visit = lambda _, place, reading: with_entry(reading, place, entry(depth, place))
         return through(touched, self.cells, visit, reading, True)
 
-    def _share_in_turn(
+    def _share_cell_by_cell(
         self, depth: Depth, volume: Scalar, features: Float[Array, " n"], pressure: Depth
     ) -> tuple[tuple[Touched, Scalar], Depth]:
         """((cells that a volume [m3] is taken off, what their pressures are multiplied by [m]),
@@ -395,7 +395,7 @@ class AbstractSurface(AbstractWearMap):
 
         def turn(now):
             contact = self.contact(volume, features)
-            level = self._level_in_turn(contact, depth)
+            level = self._solve_level_cell_by_cell(contact, depth)
             touched = self.touched(contact, jax.lax.stop_gradient(level))
 
             def visit(column, place, carry):
@@ -415,7 +415,7 @@ class AbstractSurface(AbstractWearMap):
         first = volume != 0, nothing, pressure
         return while_loop(lambda now: now[0], turn, first, (False, False, True))[1:]
 
-    def _level_in_turn(self, contact: Contact, depth: Depth) -> Scalar:
+    def _solve_level_cell_by_cell(self, contact: Contact, depth: Depth) -> Scalar:
         """Eccentricity [m] of the part once its volume is removed, as `loss` finds it."""
         target = contact.removed + contact.overlap
 
@@ -434,7 +434,7 @@ class AbstractSurface(AbstractWearMap):
             touched = self.touched(contact, jax.lax.stop_gradient(level))
             shared = functools.partial(self.in_columns, contact)
             sums = through(touched, self.cells, visit, nothing, False, shared)
-            near, level = _next_level(level, target, *sums)
+            near, level = _improve_level(level, target, *sums)
             return count + 1, jnp.where(near, turns - 1, turns), level
 
         first = jnp.zeros((), int), jnp.full((), LAST_STEPS), self.start(contact, depth)
@@ -532,7 +532,7 @@ class AbstractRound(AbstractSurface):
         return first, jnp.where(all_around, around, jnp.minimum(columns, around))
 
 
-def _next_level(
+def _improve_level(
     level: Scalar, target: Scalar, overlap: Scalar, slope: Scalar
 ) -> tuple[Array, Scalar]:
     """(whether an overlap [m3] at a level is near that wanted, the next level [m]); `slope` of the

@@ -106,12 +106,12 @@ def bounds_of_run(accuracy: Any) -> Bounds:
     accuracies = checked_accuracy(accuracy, "simulate")
     if not isinstance(accuracies, dict):
         return Bounds(Promise(accuracies, None, accuracies, None, accuracies))
-    units = tuple((_called(name), most) for name, most in accuracies.items())
-    drawn = tuple((_called(name), name) for name in accuracies if not isinstance(name, str))
+    units = tuple((_name_of_answer(name), most) for name, most in accuracies.items())
+    drawn = tuple((_name_of_answer(name), name) for name in accuracies if not isinstance(name, str))
     return Bounds(NOTHING, units, drawn)
 
 
-def _called(answer: Any) -> str:
+def _name_of_answer(answer: Any) -> str:
     """The name of an answer: its own, or that of what draws it from a run."""
     if isinstance(answer, str):
         return answer

@@ -172,11 +172,11 @@ def loads_of(
         if model.dof_frictionloss[dof] > 0:
             yield f"{name} friction", JointFriction(name, float(model.dof_frictionloss[dof]))
         if stopped[k]:
-            yield f"{name} limits", _stop(model, k, name, stops)
+            yield f"{name} limits", _make_stop(model, k, name, stops)
 
 
-def _stop(model: Any, k: int, name: str, stops: str) -> JointStop:
-    soft, inertia = limit_is_soft(model, k), _inertia(model, k)
+def _make_stop(model: Any, k: int, name: str, stops: str) -> JointStop:
+    soft, inertia = limit_is_soft(model, k), _joint_inertia(model, k)
     margin, origin = float(model.jnt_margin[k]), float(model.qpos0[model.jnt_qposadr[k]])
     low, high = (float(x) - origin for x in model.jnt_range[k])
     stiffness = impact = inertia * soft.last**2 * soft.stiffness
@@ -196,7 +196,7 @@ def _stop(model: Any, k: int, name: str, stops: str) -> JointStop:
     )
 
 
-def _inertia(model: Any, k: int) -> float:
+def _joint_inertia(model: Any, k: int) -> float:
     """That of a hinge's or slide's coordinate in the reference configuration [kg m^2, kg]."""
     return 1 / float(model.dof_invweight0[model.jnt_dofadr[k]])
 
@@ -225,7 +225,7 @@ def list_deflections(model: Any, joints: list[str], loads: dict[str, Any]) -> It
 
 
 def _stop_deflections(model: Any, k: int, name: str, stop: JointStop, unit: str) -> Iterator[str]:
-    soft, inertia = limit_is_soft(model, k), _inertia(model, k)
+    soft, inertia = limit_is_soft(model, k), _joint_inertia(model, k)
     spring: Any = stop.stiffness
     stiffness = float(spring)
     deflections = [
@@ -240,9 +240,9 @@ def _stop_deflections(model: Any, k: int, name: str, stop: JointStop, unit: str)
             there = "as in MuJoCo" if same else f"in MuJoCo by {d.there:.3g} {unit}"
             yield (
                 f'limits of "{name}" by {d.here:.3g} {unit} ({d.here / width:.2g} of their '
-                f"width) under {_force(d.force, unit)}, {there}"
+                f"width) under {_format_force(d.force, unit)}, {there}"
             )
 
 
-def _force(force: float, unit: str) -> str:
+def _format_force(force: float, unit: str) -> str:
     return f"{force:.3g} {'N' if unit == 'm' else 'N m'}"

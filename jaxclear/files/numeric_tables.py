@@ -45,7 +45,7 @@ def from_scipy(
     if (scipy is None) == (table is None):
         raise ValueError("distribution.FromScipy needs scipy (a name) or a table, one of the two.")
     if scipy is not None:
-        return FromScipy(_frozen(scipy, numbers or {}), about=about)
+        return FromScipy(_frozen_distribution(scipy, numbers or {}), about=about)
     columns: dict[str, Any] = table or {}
     rows = [np.asarray(columns.get(row, ()), float) for row in ROWS]
     fits = all(row.shape == rows[0].shape and row.ndim == 1 for row in rows) and len(rows[0]) > 1
@@ -65,7 +65,7 @@ def from_scipy(
     return built
 
 
-def _frozen(name: str, numbers: dict[str, float]) -> Any:
+def _frozen_distribution(name: str, numbers: dict[str, float]) -> Any:
     """A distribution of scipy whose quantile is a formula: others take minutes to tabulate."""
     from scipy import stats
 

@@ -62,7 +62,7 @@ class Renamed:
         warn(f"{sentence}; the old name goes in the next version.", FutureWarning)
 
 
-def _with_new_members(name: str, bases: tuple, namespace: dict) -> dict:
+def _rename_members(name: str, bases: tuple, namespace: dict) -> dict:
     """What a class defines, what it overrides by an old name under the new one."""
     for base in bases:
         for old in [*namespace]:
@@ -91,14 +91,25 @@ def with_new_arguments(owner: str, parameters: Container[str], args: dict) -> di
     return args
 
 
-class AnsweringMeta(ModuleMeta):
+class PublicMeta(ModuleMeta):
+    """Of classes of which `help` shows what users call, by the names that they type."""
+
+    def __dir__(cls) -> list[str]:
+        return [name for name in ModuleMeta.__dir__(cls) if not name.startswith("__")]
+
+    @property
+    def __signature__(cls) -> inspect.Signature:
+        return _with_offered_types(ModuleMeta.__signature__.fget(cls))  # type: ignore[attr-defined]
+
+
+class AnsweringMeta(PublicMeta):
     """Of classes that refuse wrong arguments with a sentence."""
 
     def __new__(mcs, name: str, bases: tuple, namespace: dict, **kwargs: Any):
-        namespace = _with_new_members(name, bases, namespace)
+        namespace = _rename_members(name, bases, namespace)
         check = namespace.get("__check_init__")
         if check is not None and any(isinstance(base, AnsweringMeta) for base in bases):
-            namespace = namespace | {"__check_init__": _after_fields(check)}
+            namespace = namespace | {"__check_init__": _check_after_fields(check)}
         kind = ModuleMeta.__new__(mcs, name, bases, namespace, **kwargs)
         _describe_fields(kind)
         return kind
@@ -115,7 +126,7 @@ class AnsweringMeta(ModuleMeta):
         try:
             return ModuleMeta.__call__(cls, *args, **kwargs)
         except TypeError:
-            sentence = _misfit(cls, args, kwargs)
+            sentence = _describe_misfit(cls, args, kwargs)
             if sentence:
                 raise TypeError(sentence) from None
             raise
@@ -132,7 +143,7 @@ def _describe_fields(kind: Any) -> None:
                 field.metadata = MappingProxyType({**field.metadata, **words})
 
 
-def _after_fields(class_check: Callable[[Any], None]) -> Callable[[Any], None]:
+def _check_after_fields(class_check: Callable[[Any], None]) -> Callable[[Any], None]:
     """A class's own check, which may take for granted that every field holds what it may."""
 
     @functools.wraps(class_check)
@@ -156,19 +167,22 @@ def answering(function: Callable[P, R]) -> Callable[P, R]:
         try:
             return function(*args, **kwargs)
         except TypeError:
-            sentence = _misfit(function, args, kwargs)
+            sentence = _describe_misfit(function, args, kwargs)
             if sentence:
                 raise TypeError(sentence) from None
             raise
 
-    signature = inspect.signature(function)
-    declared = signature.parameters.values()
-    parameters = [p.replace(annotation=_as_offered(p.annotation)) for p in declared]
-    returned = _as_offered(signature.return_annotation)
-    called.__signature__ = signature.replace(  # type: ignore[attr-defined]
-        parameters=parameters, return_annotation=returned
-    )
+    signature = _with_offered_types(inspect.signature(function))
+    called.__signature__ = signature  # type: ignore[attr-defined]
     return called
+
+
+def _with_offered_types(signature: inspect.Signature) -> inspect.Signature:
+    """A signature whose types have the names that users type."""
+    declared = signature.parameters.values()
+    parameters = [p.replace(annotation=_with_public_name(p.annotation)) for p in declared]
+    returned = _with_public_name(signature.return_annotation)
+    return signature.replace(parameters=parameters, return_annotation=returned)
 
 
 class _Offered:
@@ -182,7 +196,7 @@ class _Offered:
         return PACKAGE_PATH.sub(lambda match: as_typed(match[0]), annotation)
 
 
-def _as_offered(kind: Any) -> Any:
+def _with_public_name(kind: Any) -> Any:
     return _Offered(kind) if PACKAGE_PATH.search(inspect.formatannotation(kind)) else kind
 
 
@@ -194,12 +208,12 @@ def refuse_misfit(called: Callable, args: tuple, kwargs: dict) -> None:
         args: arguments by position.
         kwargs: arguments by name.
     """
-    sentence = _misfit(called, args, kwargs)
+    sentence = _describe_misfit(called, args, kwargs)
     if sentence:
         raise TypeError(sentence)
 
 
-def _misfit(called: Callable, args: tuple, kwargs: dict) -> str:
+def _describe_misfit(called: Callable, args: tuple, kwargs: dict) -> str:
     """Why these arguments do not fit a function's signature; "" where they do."""
     signature = inspect.signature(called)
     try:

@@ -78,7 +78,7 @@ def map_grouped(function: Callable, calls: Sequence[tuple], smallest: int = SMAL
                 results[index] = function(*calls[index])
         else:
             for index, result in zip(
-                members, _mapped(function, [calls[index] for index in members]), strict=True
+                members, _map_calls(function, [calls[index] for index in members]), strict=True
             ):
                 results[index] = result
     return results
@@ -89,7 +89,7 @@ def map_many(function: Callable, calls: Sequence[tuple]) -> list:
     return map_grouped(function, calls, LARGEST_UNROLLED)
 
 
-def _mapped(function, calls):
+def _map_calls(function, calls):
     leaves, structure = jax.tree.flatten(calls[0])
     varying = [position for position, leaf in enumerate(leaves) if not _is_structure(leaf)]
     all_leaves = [jax.tree.leaves(call) for call in calls]

@@ -54,7 +54,7 @@ def unstacked(array: jax.Array, least: int = MANY) -> list[jax.Array]:
     return list(entries)
 
 
-def _origin(number: Any) -> _Origin | None:
+def _array_of_origin(number: Any) -> _Origin | None:
     origin = _ORIGINS.get(id(number))
     return origin if origin is not None and origin.number() is number else None
 
@@ -64,7 +64,7 @@ def stacked(numbers: Sequence[Any], least: int = MANY) -> jax.Array:
     from which they were taken."""
     if len(numbers) < least:
         return jnp.stack(numbers)
-    origins = [_origin(each) for each in numbers]
+    origins = [_array_of_origin(each) for each in numbers]
     sources: list[Any] = []
     lengths = [0]
     starts: dict[int, int] = {}

@@ -12,13 +12,18 @@ import inspect
 import math
 from abc import abstractmethod
 from collections.abc import Callable, Iterator, Mapping
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import equinox as eqx
 import jax
 import numpy as np
 
 from jaxclear.ground.wording import described, public_name, unknown
+
+if TYPE_CHECKING:
+    from equinox._module._module import _ModuleMeta as PublicMeta
+else:
+    from jaxclear.ground.argument_errors import PublicMeta
 
 INDENT = " " * 6
 # Longest line [characters] that holds the parts of a thing, too.
@@ -80,10 +85,10 @@ def fields_in_words(part: Any, unit: Unit = unit_of_field) -> Iterator[tuple[str
         value = getattr(part, field.name)
         empty = isinstance(value, (str, tuple, dict)) and not value
         if value is not None and not empty:
-            yield field.name, f"{field.name} {_in_words(value, field.metadata, unit)}"
+            yield field.name, f"{field.name} {_format_value(value, field.metadata, unit)}"
 
 
-def _in_words(value: Any, metadata: Mapping[str, Any], unit: Unit) -> str:
+def _format_value(value: Any, metadata: Mapping[str, Any], unit: Unit) -> str:
     if isinstance(value, eqx.Module):
         return in_a_line(value, unit)
     unit_text = unit(metadata)
@@ -104,14 +109,14 @@ def number_in_words(value: Any) -> str:
     if isinstance(value, jax.core.Tracer):
         return "(traced)"
     if isinstance(value, tuple):
-        entries = ", ".join(map(_entry, value))
+        entries = ", ".join(map(_format_entry, value))
         return f"({entries})" if len(value) != 1 else entries
     if isinstance(value, (jax.Array, float)) and not getattr(value, "shape", ()):
         return f"{float(value):.6g}"
     return value if isinstance(value, str) else described(value)
 
 
-def _entry(value: Any) -> str:
+def _format_entry(value: Any) -> str:
     return in_a_line(value) if isinstance(value, eqx.Module) else number_in_words(value)
 
 
@@ -123,7 +128,7 @@ WIDTH, MOST_LINES = 80, 12
 MOST_DIGITS, USER_DIGITS = 15, 10
 
 
-class AbstractShown(eqx.Module):
+class AbstractShown(eqx.Module, metaclass=PublicMeta):
     """What is shown in words and tables."""
 
     @abstractmethod
@@ -154,7 +159,7 @@ class AbstractShown(eqx.Module):
 
     def _repr_html_(self) -> str:
         """What a notebook shows."""
-        return "".join(map(_in_html, self._parts()))
+        return "".join(map(_format_html, self._parts()))
 
     def _parts(self) -> tuple[Any, ...]:
         content = self._summary()
@@ -180,11 +185,11 @@ def with_text_repr(kind: Any) -> Any:
     """Decorates a class of few words (`__str__`): whatever shows it, a list that it is in too,
     shows these."""
     kind.__repr__ = kind.__str__
-    kind._repr_html_ = lambda self: _in_html(str(self))
+    kind._repr_html_ = lambda self: _format_html(str(self))
     return kind
 
 
-def _in_html(part: Any) -> str:
+def _format_html(part: Any) -> str:
     """A part of what is shown; the lines of a long text but the first fold out."""
     if not isinstance(part, str):
         return part._repr_html_()

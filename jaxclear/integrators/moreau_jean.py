@@ -297,8 +297,9 @@ class MoreauJean(AbstractIntegrator):
         theta: weight of a step's end in its mean speed [1], >= 0 and <= 1; 1/2 conserves the energy
             of smooth motion.
         gamma: share of a step within which a gap must close to count as closed [1], >= 0.
-        max_sweeps: largest number of sweeps over the contacts in a step [1], >= 1; where they end
-            far from the laws, the run ends and says so.
+        max_sweeps: largest number of sweeps over the contacts, or steps of Newton's method for all,
+            in a step [1], >= 1; where they end before `tolerance` a run says by how much the laws
+            are missed (`Check.LAW_RESIDUAL`), and ends where that is far.
         tolerance: residual of the contact laws relative to the largest velocity at which sweeps end
             [1], > 0.
         project: whether to move apart what overlaps by more than it would part or fall in a step,
@@ -311,6 +312,10 @@ class MoreauJean(AbstractIntegrator):
 
     pathwise: ClassVar = False
     projects: ClassVar = True
+    promise: ClassVar = RIGID
+    through_contacts: ClassVar = True
+    first_order_slopes: ClassVar = True
+    opens_loops: ClassVar = True
     step: Scalar = quantity(1e-4, "s", above=0)
     theta: Scalar = quantity(0.5, "1", at_least=0, at_most=1, kw_only=True)
     gamma: Scalar = quantity(0.5, "1", at_least=0, kw_only=True)
@@ -318,16 +323,8 @@ class MoreauJean(AbstractIntegrator):
     tolerance: Scalar = quantity(1e-12, "1", above=0, kw_only=True)
     project: bool = eqx.field(static=True, default=True, kw_only=True)
 
-    @property
-    def promise(self):
-        return RIGID
-
     def with_finer_steps(self, share):
         return eqx.tree_at(lambda a: a.step, self, on_device(share * on_host(self.step)))
-
-    @property
-    def opens_loops(self):
-        return True
 
     @property
     def formulation(self):
@@ -335,14 +332,6 @@ class MoreauJean(AbstractIntegrator):
 
     def requested_step(self):
         return self.step
-
-    @property
-    def through_contacts(self):
-        return True
-
-    @property
-    def first_order_slopes(self):
-        return True
 
     def beyond_touches(self, mechanism):
         joints = [mechanism.connections[name].joint for name in mechanism.topology.clearances]

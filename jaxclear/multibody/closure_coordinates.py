@@ -117,10 +117,10 @@ def started(
     """
     if not layout.angles and not layout.states:
         return state
-    motions = kinematics.link_motions(system, *unpack_motion(system, _entries(state)), time)
+    motions = kinematics.link_motions(system, *unpack_motion(system, _as_scalars(state)), time)
     if layout.angles:
         angles = angles_at_start(mechanism, system, layout.angles, motions)
-        state = _with_angles(layout, state, angles)
+        state = _set_angles(layout, state, angles)
     if layout.states:
         first, values = layout.state_start, states_at_start(system, layout, motions)
         state = state.at[first : first + len(values)].set(sp.stack(values))
@@ -142,17 +142,17 @@ def anchored(
     """
     if not layout.angles:
         return state
-    entries = _entries(state)
+    entries = _as_scalars(state)
     motions = kinematics.link_motions(system, *unpack_motion(system, entries), time)
     followed = unpack_followed(layout, entries).angles
     angles = {n: read(system, n, motions, x).position for n, x in followed.items()}
-    return _with_angles(layout, state, angles)
+    return _set_angles(layout, state, angles)
 
 
-def _entries(state: Array) -> list:
+def _as_scalars(state: Array) -> list:
     return [state[i] for i in range(len(state))]
 
 
-def _with_angles(layout: Layout, state: Array, angles: dict[str, Any]) -> Array:
+def _set_angles(layout: Layout, state: Array, angles: dict[str, Any]) -> Array:
     first = layout.angle_start
     return state.at[first : first + len(angles)].set(sp.stack(list(angles.values())))

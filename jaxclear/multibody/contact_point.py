@@ -30,12 +30,12 @@ from jaxclear.multibody.loops import Relative
 LEAST_FORCE = 1e-30
 
 
-def _counted(share: Any, force: Any) -> Any:
+def _weigh_force(share: Any, force: Any) -> Any:
     """A force of a contact of which a share acts; None: as it is."""
     return force if share is None else share * force
 
 
-def _rub(
+def _friction_forces(
     law: AbstractForceFriction, normal: Any, state: "PointState", slip: tuple, speed: Any
 ) -> tuple[tuple, tuple]:
     """(tractions, rates of the bristles) of a contact; of one of which a share acts, bristles of
@@ -231,11 +231,11 @@ def evaluate(
         rate, slip = contact_speeds(joint, pose, contact, velocity, spin)
         impact_speed = impact_speed_now(state.impact_speed, rate)
         normal = laws.contact.normal_force(contact.indentation, rate, impact_speed)
-        normal = _counted(state.share, normal)
+        normal = _weigh_force(state.share, normal)
         speed, tractions, bristle_rates = slip_speed(slip), (), ()
         if laws.friction is not None:
-            tractions, bristle_rates = _rub(laws.friction, normal, state, slip, speed)
-        elastic = _counted(state.share, laws.contact.elastic_force(contact.indentation))
+            tractions, bristle_rates = _friction_forces(laws.friction, normal, state, slip, speed)
+        elastic = _weigh_force(state.share, laws.contact.elastic_force(contact.indentation))
         # Steps set the impact speed where a contact closes; it has no rate.
         standing = None if state.impact_speed is None else 0.0
         remembered, rates = PointState(standing, bristle_rates), (rate, *slip)
@@ -266,8 +266,8 @@ def gap_function(
         pose: journal's marker in the bearing's frame.
         worn: depth maps [m] by surface; empty: new surfaces.
     """
-    offset, axes = pose.translation, _axes(joint, pose)
-    indentations, gradients = _indentations(joint, offset, axes, worn)
+    offset, axes = pose.translation, _axes_of_gap(joint, pose)
+    indentations, gradients = _indentations_with_gradients(joint, offset, axes, worn)
     candidates = joint.contact_candidates(offset, axes, indentations)
     result = []
     for overlap, (slope, turns), candidate in zip(indentations, gradients, candidates, strict=True):
@@ -286,7 +286,7 @@ def laws_at(
         pose: journal's marker in the bearing's frame.
         worn: depth maps [m] by surface.
     """
-    return laws_now(joint, fitted, pose.translation, _axes(joint, pose), worn)
+    return laws_now(joint, fitted, pose.translation, _axes_of_gap(joint, pose), worn)
 
 
 def depths(joint: AbstractClearance, pose: Pose, worn: dict[str, Any]) -> tuple:
@@ -297,7 +297,7 @@ def depths(joint: AbstractClearance, pose: Pose, worn: dict[str, Any]) -> tuple:
         pose: journal's marker in the bearing's frame.
         worn: depth maps [m] by surface; empty: new surfaces.
     """
-    return joint.indentations(pose.translation, _axes(joint, pose), worn)
+    return joint.indentations(pose.translation, _axes_of_gap(joint, pose), worn)
 
 
 def point_motions(joint: AbstractClearance, relative: Relative, worn: dict) -> tuple:
@@ -331,7 +331,7 @@ def contact_speeds(
         spin: relative angular velocity in the bearing's axes [rad/s].
     """
     rate = sp.dot(contact.slope, velocity)
-    for axis, turn in zip(_axes(joint, pose), contact.axis_slopes, strict=True):
+    for axis, turn in zip(_axes_of_gap(joint, pose), contact.axis_slopes, strict=True):
         rate = sp.add(rate, sp.dot(turn, sp.cross(spin, axis)))
     # Velocity of the journal's material point in contact, seen from the bearing.
     arm = sp.minus(contact.candidate.place, pose.translation)
@@ -354,7 +354,7 @@ def assemble(
         pose: journal's marker in the bearing's frame.
         contacts: every possible contact with its forces.
     """
-    offset, axes = pose.translation, _axes(joint, pose)
+    offset, axes = pose.translation, _axes_of_gap(joint, pose)
     force, torque, powers = sp.ZERO, sp.ZERO, list[tuple]()
     reports: list[PointReport] = []
     for laws, contact, (rate, *slip), normal, tractions, elastic, memory, slid, _ in contacts:
@@ -384,12 +384,12 @@ def assemble(
     )
 
 
-def _axes(joint, pose):
+def _axes_of_gap(joint, pose):
     """Those axes of the journal's marker on which the gap depends, in the bearing's axes."""
     return tuple(sp.transpose(pose.rotation)[k] for k in joint.axes)
 
 
-def _indentations(joint, offset, axes, worn):
+def _indentations_with_gradients(joint, offset, axes, worn):
     """Indentations and, for each, its gradient by the offset and by each axis, with structural
     zeros kept.
     """

@@ -66,7 +66,7 @@ def with_damped_stops(system: System, motions: tuple[Motion, ...]) -> System:
     if not stops:
         return system
     rows = [_coordinate_row(system, motions, stop.connection) for stop in stops.values()]
-    inertias = [1 / each for each in _lightness_along(system, motions, rows)]
+    inertias = [1 / each for each in _inverse_inertia_along(system, motions, rows)]
     pairs = zip(stops.items(), inertias, strict=True)
     damped = {name: stop.damped(inertia) for (name, stop), inertia in pairs}
     return dataclasses.replace(system, loads=system.loads | damped)
@@ -92,7 +92,7 @@ def with_settled_loads(
     names = loads_to_settle(mechanism)
     loads: dict[str, Any] = dict(mechanism.loads)
     rows = [_coordinate_row(system, motions, *loads[name].coordinates()) for name in names]
-    for name, lightness in zip(names, _lightness_along(system, motions, rows), strict=True):
+    for name, lightness in zip(names, _inverse_inertia_along(system, motions, rows), strict=True):
         loads[name] = loads[name].for_inertia(1 / lightness, delay, times)
     return rebuilt(mechanism, loads=loads)
 
@@ -109,7 +109,7 @@ def _coordinate_row(system: System, motions: tuple[Motion, ...], name: str) -> J
     return reading.direction.jacobian(system, motions)
 
 
-def _lightness_along(system: System, motions: tuple[Motion, ...], rows: list) -> list:
+def _inverse_inertia_along(system: System, motions: tuple[Motion, ...], rows: list) -> list:
     """By how much a unit of force along each row accelerates it, the loops closed."""
     masses: list[Any] = [
         tree.mass_matrix(*kinematics.by_subtree(subtree, system.links, motions))

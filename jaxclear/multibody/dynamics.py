@@ -118,12 +118,12 @@ def constrained_inverse(
 
     def respond(columns):
         if len(columns) < MANY:
-            return [_responses([column], masses, factors)[0] for column in columns]
-        return _responses(columns, masses, factors)
+            return [_respond_to_columns([column], masses, factors)[0] for column in columns]
+        return _respond_to_columns(columns, masses, factors)
 
     columns = respond([[row.get(j, 0) for j in range(size)] for row in rows])
     schur = [[along(row, column) for column in columns] for row in rows]
-    closed = _solver(schur, same, dependence) if rows else None
+    closed = _make_multiplier_solver(schur, same, dependence) if rows else None
 
     def constrain(accelerations, needed):
         if closed is None:
@@ -140,7 +140,7 @@ def constrained_inverse(
     return respond, constrain
 
 
-def _responses(columns: list[list], masses: list, factors: list) -> list[list]:
+def _respond_to_columns(columns: list[list], masses: list, factors: list) -> list[list]:
     """Accelerations by columns of generalised forces; alike ones are traced once."""
     parts = []
     for forces in columns:
@@ -158,7 +158,7 @@ def _responses(columns: list[list], masses: list, factors: list) -> list[list]:
     return [[x for each in part for x in each] for part in parts]
 
 
-def _solver(
+def _make_multiplier_solver(
     schur: list[list], same: tuple, dependence: Dependence | None
 ) -> Callable[[tuple], tuple]:
     """From what the rows lack to multipliers; `same`: of each row which count alike (None: it is
@@ -261,13 +261,13 @@ def mechanical_energy(system: System, forces: Forces) -> tuple[Any, Any]:
     for index, (moving, lifted) in enumerate(map_many(energies, calls)):
         rotor = system.links[index].rotor
         if rotor is not None:
-            kinetic = kinetic + 0.5 * rotor * _speed(system, forces, index) ** 2
+            kinetic = kinetic + 0.5 * rotor * _joint_speed(system, forces, index) ** 2
         kinetic = kinetic + moving
         potential = sp.sub(potential, lifted)
     return kinetic, jnp.asarray(potential, float)
 
 
-def _speed(system: System, forces: Forces, index: int) -> Any:
+def _joint_speed(system: System, forces: Forces, index: int) -> Any:
     """Speed [rad/s, m/s] of the single coordinate of a link's joint."""
     (column,) = forces.motions[index].columns
     twist = kinematics.joint_twist(system, forces.motions, index)

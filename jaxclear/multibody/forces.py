@@ -134,7 +134,7 @@ def applied_forces(
             for order, action in enumerate(effect.actions):
                 link, marker = system.load_markers[name][action.place_among(markers, order)]
                 if link is not None:
-                    wrench = _in_link(action, motions[link], marker)
+                    wrench = _wrench_in_link(action, motions[link], marker)
                     wrenches[link] = sum_wrenches(wrenches[link], wrench)
             stored, damping = sp.add(stored, effect.stored), sp.add(damping, effect.dissipated)
             external = sp.add(external, effect.external)
@@ -418,11 +418,11 @@ def effect_of(
         time: instant [s].
     """
     places = system.load_markers[name]
-    marker_motions = tuple(_marker_motion(link, marker, motions) for link, marker in places)
+    marker_motions = tuple(_motion_of_marker(link, marker, motions) for link, marker in places)
     return load.effect(time, marker_motions)
 
 
-def _marker_motion(link: int | None, marker: Pose, motions: tuple[Motion, ...]) -> MarkerMotion:
+def _motion_of_marker(link: int | None, marker: Pose, motions: tuple[Motion, ...]) -> MarkerMotion:
     """A load's marker in ground axes."""
     if link is None:
         return MarkerMotion(marker, sp.ZERO, sp.ZERO)
@@ -433,7 +433,7 @@ def _marker_motion(link: int | None, marker: Pose, motions: tuple[Motion, ...]) 
     )
 
 
-def _in_link(action: Action, motion: Motion, marker: Pose) -> Wrench:
+def _wrench_in_link(action: Action, motion: Motion, marker: Pose) -> Wrench:
     """An action on a marker as a wrench in the axes of its link."""
     rotation = motion.pose.after(marker).rotation
     local = Wrench(

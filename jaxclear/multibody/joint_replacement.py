@@ -65,27 +65,27 @@ def _check_fits(
     """That one of two joints constrains no more than the other does."""
     before = coordinate_joint(name, bodies, dict(connections))
     if before.rows is None or ideal.rows is None:
-        directions = [_directions(joint) for joint in (before, ideal)]
+        directions = [_twists_at_home(joint) for joint in (before, ideal)]
         if np.linalg.matrix_rank(np.concatenate(directions), SAME) == max(map(len, directions)):
             return
     else:
         rows, new_rows = set(before.rows), set(ideal.rows)
         if rows <= new_rows or new_rows <= rows:
             return
-    text = "" if ideal is joint else f", which without its play is a {_kind(ideal)}"
+    text = "" if ideal is joint else f", which without its play is a {_name_of_kind(ideal)}"
     raise ValueError(
         f'joint "{name}" is a {type(old).__name__}; a {type(joint).__name__}{text} moves in other '
         "directions and does not fit in its place."
     )
 
 
-def _directions(joint: AbstractJoint) -> np.ndarray:
+def _twists_at_home(joint: AbstractJoint) -> np.ndarray:
     """The twists of a joint's speeds at home."""
     columns = joint.columns(joint.home)
     return np.array([[*x.linear, *x.angular] for x in columns], float).reshape(-1, 6)
 
 
-def _kind(joint: AbstractJoint) -> str:
+def _name_of_kind(joint: AbstractJoint) -> str:
     return type(joint).__name__.removeprefix("Permanent")
 
 

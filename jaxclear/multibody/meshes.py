@@ -103,12 +103,12 @@ def meshing_parts(
     across = [bodies[1 - i] == part.inner for i, part in enumerate(parts)]
     pairs = list(zip(coupling.joints(), parts, reversed(across), strict=True))
     return tuple(
-        _other_side(connections[name], part) if is_carrier and not all(across) else part
+        _part_on_other_side(connections[name], part) if is_carrier and not all(across) else part
         for name, part, is_carrier in pairs
     )
 
 
-def _other_side(connection: Connection, part: Part) -> Part:
+def _part_on_other_side(connection: Connection, part: Part) -> Part:
     """The part against which a joint moves this one."""
     marker = connection.parent if part.is_child else connection.child
     return Part(marker, not part.is_child, part.marker.body)
@@ -141,7 +141,7 @@ def drawn_pose(
         connections: by name.
     """
     first, second = markers(coupling, connections)
-    places = _drawn(bodies, connections)
+    places = _poses_at_home(bodies, connections)
     poses = [places[marker.body].after(marker.pose()) for marker in (first, second)]
     return poses[0].inverse().after(poses[1])
 
@@ -166,14 +166,14 @@ def is_distance_free(
     moved = {n: MOVED / (1 + i) for i, n in enumerate(others)}
     result = []
     for shifts in ({}, moved):
-        places = _drawn(bodies, connections, shifts)
+        places = _poses_at_home(bodies, connections, shifts)
         one, other = (places[marker.body].after(marker.pose()) for marker in (first, second))
         x, y, _ = one.inverse().after(other).translation
         result.append(float(jnp.hypot(jnp.asarray(x, float), jnp.asarray(y, float))))
     return abs(result[1] - result[0]) > AS_FAR * result[0]
 
 
-def _drawn(
+def _poses_at_home(
     bodies: dict[str, Body],
     connections: dict[str, Connection],
     shifts: Mapping[str, float] = MappingProxyType({}),
@@ -217,11 +217,11 @@ def mesh(
     parts = list(meshing_parts(coupling, connections))
     if len(coupling.angles(drawn)) == 1:
         return Mesh(coupling, drawn, (_single(coupling, parts, topology, bodies, connections),))
-    depths = [_depth(topology, part.marker.body) for part in parts]
+    depths = [_depth_in_tree(topology, part.marker.body) for part in parts]
     deepest = [depth == max(depths) for depth in depths]
     together = parts[0].inner == parts[1].inner
     counts = tuple(
-        _count(name, part, topology, bodies, connections) if together or deep else None
+        _turn_count(name, part, topology, bodies, connections) if together or deep else None
         for name, part, deep in zip(coupling.joints(), parts, deepest, strict=True)
     )
     return Mesh(coupling, drawn, counts)
@@ -239,13 +239,13 @@ def _single(
     is_private = len(parts) == 1
     if not is_private and parts[0].inner != parts[1].inner:
         return None
-    result = _count(coupling.joints()[0], parts[0], topology, bodies, connections)
+    result = _turn_count(coupling.joints()[0], parts[0], topology, bodies, connections)
     if result is None:
         return None
     return eqx.tree_at(lambda count: count.sign, result, 1.0 if is_private else -result.sign)
 
 
-def _depth(topology: Topology, body: str) -> int:
+def _depth_in_tree(topology: Topology, body: str) -> int:
     """How many joints of the tree lead from the ground to a body."""
     inboard = {branch.body: branch.parent for branch in topology.branches}
     depth = 0
@@ -254,7 +254,7 @@ def _depth(topology: Topology, body: str) -> int:
     return depth
 
 
-def _count(
+def _turn_count(
     name: str, part: Part, topology: Topology, bodies: dict, connections: dict
 ) -> Count | None:
     """The coordinate that counts the turns of what a joint carries against its inner body."""
@@ -273,7 +273,7 @@ def _count(
     if topology.branches[link].connection is not None or len(bodies[body].inertia) > 1:
         return None
     # A body that floats in the plane turns about the ground's z axis.
-    drawn = _drawn(bodies, connections)[body]
+    drawn = _poses_at_home(bodies, connections)[body]
     home = jnp.arctan2(*(jnp.asarray(drawn.rotation[i][0], float) for i in (1, 0)))
     upward = drawn.after(part.marker.pose()).rotation[2][2]
     sign = jnp.where(jnp.asarray(upward, float) < 0, -1.0, 1.0)

@@ -159,7 +159,7 @@ def coordinate_equations(
             turns = True
         calls.append((joint, part, target, turns))
     result = []
-    each = zip(sources, inputs, map_many(_increment, calls), strict=True)
+    each = zip(sources, inputs, map_many(_increment_from, calls), strict=True)
     for where, values, missed in each:
         report = where.joint.start_mask(values)
         rows = _rows(system, motions, where, len(report))
@@ -201,7 +201,7 @@ def _rows(
     return kinematics.relative_jacobian(system, motions, where.closure, pose, where.joint.speeds_at)
 
 
-def _increment(joint: AbstractJoint, q: tuple, origin: tuple, turns: bool) -> tuple:
+def _increment_from(joint: AbstractJoint, q: tuple, origin: tuple, turns: bool) -> tuple:
     """What leads from `origin` to q, to first order, in the joint's speeds held for unit time.
     `turns`: angles are known but for whole turns."""
     q = tuple(jnp.asarray(x, float) for x in q)

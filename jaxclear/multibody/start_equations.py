@@ -223,7 +223,7 @@ def guess_blocks(problem: Ask, place: Place) -> list[Block]:
     return _coordinate_blocks(problem, place, GUESS)
 
 
-def _straight(problem: Ask, *parts: str) -> dict[str, tuple]:
+def _straight_values(problem: Ask, *parts: str) -> dict[str, tuple]:
     """What hinges of beams are at of which nothing is given in these parts."""
     hinges = parts_of_beams(problem.mechanism.loads) if problem.straight else ()
     start_names = {name for part in parts for name in getattr(problem.mechanism, part)}
@@ -235,7 +235,7 @@ def _coordinate_blocks(problem: Ask, place: Place, kind: str) -> list[Block]:
     """Coordinates that are given, guessed, or straight."""
     blocks: list[Block] = []
     if kind == STRAIGHT:
-        entries: Any = _straight(problem, "start", "guess").items()
+        entries: Any = _straight_values(problem, "start", "guess").items()
     else:
         entries = problem.mechanism.start_arguments["start" if kind == START else "guess"].items()
     sources = [
@@ -263,7 +263,7 @@ def speed_blocks(problem: Ask, q: Array, v: Array, time: Any) -> list[Block]:
     branch_q, branch_v, motions = motions_at(problem, q, v, time)
     blocks = [_closure_block(problem, motions, n, c, LOOP, True) for n, c in _loops(problem)]
     fast = problem.mechanism.start_arguments["speeds"]
-    still = _straight(problem, "speeds")
+    still = _straight_values(problem, "speeds")
     later: list[Block] = []
     for name, values in (fast | still).items():
         where = start_constraints.source(problem.mechanism, problem.system, name)
@@ -296,7 +296,7 @@ def stacked(problem: Ask, blocks: list[Block]) -> tuple[Array, Array]:
     none = jnp.zeros((0, problem.system.topology.speed_count))
     if len(blocks) >= LARGEST_UNROLLED:
         rows = [row for block in blocks for row in block.rows]
-        return _dense(problem, rows), jnp.concatenate([block.rest for block in blocks])
+        return _dense_rows(problem, rows), jnp.concatenate([block.rest for block in blocks])
     return (
         jnp.concatenate([none, *jacobians(problem, blocks)]),
         jnp.concatenate([none.ravel(), *(block.rest for block in blocks)]),
@@ -306,7 +306,7 @@ def stacked(problem: Ask, blocks: list[Block]) -> tuple[Array, Array]:
 def jacobians(problem: Ask, blocks: list[Block]) -> list[Array]:
     """The Jacobian of each block."""
     if len(blocks) < LARGEST_UNROLLED:
-        return [_dense(problem, block.rows) for block in blocks]
+        return [_dense_rows(problem, block.rows) for block in blocks]
     ends = np.cumsum([len(block.rows) for block in blocks])
     return jnp.split(stacked(problem, blocks)[0], ends[:-1])
 
@@ -334,14 +334,14 @@ def _loops(problem: Ask) -> list[tuple[str, Closure]]:
     return list(zip(problem.system.topology.loops, problem.system.closures, strict=True))
 
 
-def _journals(problem: Ask) -> list[tuple[str, Closure]]:
+def _concentric_journals(problem: Ask) -> list[tuple[str, Closure]]:
     bearings = problem.system.bearings if problem.concentric else {}
     return [(name, bearing.closure) for name, bearing in bearings.items()]
 
 
 def _journal_blocks(problem: Ask, motions: tuple[Motion, ...], rates: bool) -> list[Block]:
     """Journals that are to be concentric."""
-    journals = _journals(problem)
+    journals = _concentric_journals(problem)
     closures = [closure for _, closure in journals]
     relative = kinematics.relative_motions(closures, motions)
     turning = [
@@ -395,7 +395,7 @@ def _start_block(
     )
 
 
-def _dense(problem: Ask, rows: list[kinematics.JacobianRow]) -> Float[Array, "rows v"]:
+def _dense_rows(problem: Ask, rows: list[kinematics.JacobianRow]) -> Float[Array, "rows v"]:
     count = problem.system.topology.speed_count
     entries = {(i, j): x for i, row in enumerate(rows) for j, x in row.items()}
     return factorisation.placed(entries, (len(rows), count))

@@ -162,7 +162,7 @@ def lay_out(
     states += tuple((name, x) for name, part in system.transmissions.items() for x in part.states())
     plays = tuple(name for name, part in system.transmissions.items() if part.coupling.play)
     position += len(angles) + len(states)
-    for name, surface, k, features in _wearing(system, samples):
+    for name, surface, k, features in _iterate_wear_slots(system, samples):
         constants = {i: f for i, f in enumerate(features) if isinstance(f, (int, float))}
         averaged = tuple(i for i in range(len(features)) if i not in constants)
         values = tuple((i, float(f)) for i, f in constants.items())
@@ -184,7 +184,7 @@ def lay_out(
     )
 
 
-def _wearing(system: System, samples: dict[str, tuple]) -> list[tuple]:
+def _iterate_wear_slots(system: System, samples: dict[str, tuple]) -> list[tuple]:
     """(joint, surface, contact, location) of every contact whose wear is mapped, the joints with
     clearance as `samples` show them."""
     result = []
@@ -244,11 +244,11 @@ def components(system: System, bearing: Bearing) -> tuple[int, ...]:
 
 def _is_planar(system):
     return all(
-        not link.joint.columns(link.joint.home) or _flat(link) for link in system.links
+        not link.joint.columns(link.joint.home) or _is_planar_link(link) for link in system.links
     ) and bool(system.links)
 
 
-def _flat(link):
+def _is_planar_link(link):
     return all(
         sp.is_zero(c.linear[2]) and sp.is_zero(c.angular[0]) and sp.is_zero(c.angular[1])
         for c in link.joint.columns(link.joint.home)

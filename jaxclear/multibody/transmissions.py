@@ -137,7 +137,7 @@ def pressing(
     """
     play, stiffness, damping, slack = spring
     if slack is not None:
-        return _of_strands(spring, twist)
+        return _strand_pressing(spring, twist)
     if play is None:
         viscous = 0 if damping is None else damping * twist.rate
         loss = sp.mul(viscous, twist.rate)
@@ -174,7 +174,7 @@ def pressing(
     return Pressing(*parts, depths, rates, tuple(acting))
 
 
-def _of_strands(belt: Compliance, twist: CouplingTwist) -> Pressing:
+def _strand_pressing(belt: Compliance, twist: CouplingTwist) -> Pressing:
     """The same of a belt whose two strands share its stiffness, and pull alone."""
     half = None if belt.damping is None else 0.5 * belt.damping
     pulls = [
@@ -225,7 +225,7 @@ def _mean_depth(depth: Any, path: Any) -> tuple[Any, Any]:
     return 0.5 * (first + last) * share, share
 
 
-def _mean_of_strands(belt: Compliance, twist: CouplingTwist, length: Any) -> Any:
+def _mean_strand_torque(belt: Compliance, twist: CouplingTwist, length: Any) -> Any:
     """The same of a belt."""
     torques = []
     for sign in (1.0, -1.0):
@@ -251,7 +251,7 @@ def mean_torque(spring: Compliance, twist: CouplingTwist, end: Any, length: Any)
     """
     play, stiffness, damping, slack = spring
     if slack is not None:
-        return _mean_of_strands(spring, twist, length)
+        return _mean_strand_torque(spring, twist, length)
     if play is None:
         viscous = 0 if damping is None else damping * twist.rate
         return sp.add(stiffness * (twist.value + 0.5 * length * twist.rate), viscous)

@@ -236,7 +236,7 @@ def mass_matrix(links: tuple[Link, ...], motions: tuple[Motion, ...]) -> tuple[t
     composite = [(link.mass, link.first_moment, link.inertia) for link in links]
     for index in range(len(links) - 1, -1, -1):
         parent = links[index].parent
-        if parent >= 0 and _moves(links, motions, parent):
+        if parent >= 0 and _has_free_speed(links, motions, parent):
             mass, moment, inertia = composite[index]
             rotation, offset = motions[index].relative
             rotated = sp.apply(rotation, moment)
@@ -275,7 +275,7 @@ def mass_matrix(links: tuple[Link, ...], motions: tuple[Motion, ...]) -> tuple[t
     return tuple(map(tuple, rows))
 
 
-def _moves(links, motions, index) -> bool:
+def _has_free_speed(links, motions, index) -> bool:
     """True where the link or one of its ancestors has a free speed, so that its composite inertia
     is needed.
     """

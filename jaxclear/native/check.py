@@ -120,7 +120,7 @@ def compared(program: Program, kernel: Turn, reference: Turn, draw: int) -> tupl
     before = np.array([packed(s[len(constants) :]) for s in samples])
     first[:, : before.shape[1]] = before
     # What a turn leaves of a long array as it was tells nothing.
-    long = np.repeat([i in program.long for i in range(len(state))], list(map(_size, state)))
+    long = np.repeat([i in program.long for i in range(len(state))], list(map(_floats_of, state)))
     is_compared = np.any((expected != first) | (results != first), axis=0)
     is_compared[: len(long)] |= ~long
     parts = [(a[:1, is_compared], a[1:, is_compared]) for a in (results, expected, changed, first)]
@@ -153,15 +153,15 @@ def turn_by_jax(program: Program, samples: list) -> np.ndarray:
 def evaluated(program: ClosedJaxpr, arguments: Sequence[Any]) -> list:
     """A program's results, one of JAX's operations after the other: nothing of the rules, and no
     loop without an end."""
-    return replayed(program, arguments, _one)
+    return replayed(program, arguments, _apply_exactly)
 
 
-def _one(equation: Any, inputs: list) -> Sequence[Any]:
+def _apply_exactly(equation: Any, inputs: list) -> Sequence[Any]:
     name, p = equation.primitive.name, equation.params
     if name == "cond":
         return evaluated(p["branches"][int(inputs[0])], inputs[1:])
     if name == "scan":
-        return _scan(p, inputs)
+        return _evaluate_scan(p, inputs)
     if name == "while":
         first, second = p["cond_nconsts"], p["cond_nconsts"] + p["body_nconsts"]
         state = inputs[second:]
@@ -178,7 +178,7 @@ def _one(equation: Any, inputs: list) -> Sequence[Any]:
     return applied(equation, inputs, p)
 
 
-def _scan(p: dict, inputs: list) -> list:
+def _evaluate_scan(p: dict, inputs: list) -> list:
     fixed, carried = scan_counts(p)
     carry, rows, outputs = inputs[fixed:][:carried], inputs[fixed + carried :], []
     turns = range(p["length"])
@@ -190,7 +190,7 @@ def _scan(p: dict, inputs: list) -> list:
     return [*carry, *[jnp.stack(parts) for parts in zip(*outputs, strict=True)]]
 
 
-def _size(aval: Any) -> int:
+def _floats_of(aval: Any) -> int:
     return floats_in([aval])
 
 
@@ -207,16 +207,16 @@ def turn_by_kernel(program: Program, address: int, samples: list) -> np.ndarray:
     flat = np.ascontiguousarray(rows)
     big = [np.ascontiguousarray([s[i] for s in samples]) for i, k in enumerate(is_long) if k]
     out = np.zeros((len(samples), floats_in(packed_state(program))))
-    long = [np.zeros((len(samples), _size(aval))) for aval in changing(program)]
+    long = [np.zeros((len(samples), _floats_of(aval))) for aval in changing(program)]
     tables = [
-        np.zeros((len(samples), table.height, _size(aval)))
+        np.zeros((len(samples), table.height, _floats_of(aval)))
         for table, aval in zip(program.tables, row_of(program), strict=True)
     ]
     big += [*long, *tables]
     data = (ctypes.c_void_p * (1 + len(big)))(flat.ctypes.data, *[b.ctypes.data for b in big])
     call = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int64)
     call(address)(ctypes.cast(data, ctypes.c_void_p), out.ctypes.data, len(samples))
-    short = np.split(out, np.cumsum(list(map(_size, packed_state(program))))[:-1], axis=1)
+    short = np.split(out, np.cumsum(list(map(_floats_of, packed_state(program))))[:-1], axis=1)
     parts = {i: each for each, i in zip(long, sorted(program.long), strict=True)}
     others = (i for i in range(len(avals_of(program)[1])) if i not in program.long)
     parts |= dict(zip(others, short, strict=False))

@@ -56,7 +56,7 @@ def text_of(program: Program, lanes: int, checked: bool = False) -> str:
         checked: whether it takes one turn only.
     """
     writer = Writer(lanes, bool(program.length), checked)
-    values = _arguments(writer, program)
+    values = _load_arguments(writer, program)
     c, b = program.condition_constants, program.body_constants
     fixed_condition, fixed_body, first = values[:c], values[c : c + b], values[c + b :]
     first = handed_over(writer, program, first)
@@ -82,8 +82,8 @@ def text_of(program: Program, lanes: int, checked: bool = False) -> str:
         tables.invalidate_if_stopped(last[0].item(), first)
     position = 0
     for array, kind in zip(last, kinds, strict=True):
-        position += 0 if isinstance(array, InMemory) else _stored(writer, position, array, kind)
-    parts = [_head(lanes), *writer.frame, *writer.lines, "  ret void\n}"]
+        position += 0 if isinstance(array, InMemory) else _store(writer, position, array, kind)
+    parts = [_head_of_loop(lanes), *writer.frame, *writer.lines, "  ret void\n}"]
     needs = set(writer.needs)
     for name, make in elementary.DEFINITIONS.items():
         if name in needs:
@@ -93,7 +93,7 @@ def text_of(program: Program, lanes: int, checked: bool = False) -> str:
     return "\n".join([*sorted(needs), *parts, "!0 = !{}"])
 
 
-def _head(lanes: int) -> str:
+def _head_of_loop(lanes: int) -> str:
     """The first lines of the loop's function."""
     # LLVM lays a vector that it puts aside wherever the stack happens to be: across two lines of
     # the cache a step took 4 % longer, or not, as a change anywhere in the loop moved them.
@@ -104,7 +104,7 @@ def _head(lanes: int) -> str:
     )
 
 
-def _arguments(writer: Writer, program: Program) -> list:
+def _load_arguments(writer: Writer, program: Program) -> list:
     """Constants and first state: arrays of registers, loaded one by one, or arrays in memory."""
     constants, state = avals_of(program)
     position, slot = 0, 0
@@ -119,13 +119,13 @@ def _arguments(writer: Writer, program: Program) -> list:
             continue
         array = array_of(None, shape)
         for index in np.ndindex(*shape):
-            array[index] = _load(writer, position, kind)
+            array[index] = _load_number(writer, position, kind)
             position += 1
         values.append(array)
     return values
 
 
-def _load(writer: Writer, position: int, kind: str) -> str:
+def _load_number(writer: Writer, position: int, kind: str) -> str:
     place = writer.put(f"getelementptr double, ptr %in, i64 {position * writer.lanes}")
     value = writer.put(f"load {writer.wide(FLOAT)}, ptr {place}")
     if kind == INT:
@@ -216,7 +216,7 @@ def build(program: Program, lanes: int) -> Kernel:
         kernel = _KERNELS.get(number)
         if kernel is None:
             if check.is_check_enabled():
-                _checked(program, lanes)
+                _check_turn(program, lanes)
             kernel = _register_kernel(number, name, *object_code.load_or_compile(text))
         return kernel
 
@@ -259,7 +259,7 @@ def turn_of(program: Program, lanes: int) -> check.Turn:
     return lambda samples: check.turn_by_kernel(program, address(), samples)
 
 
-def _checked(program: Program, lanes: int) -> None:
+def _check_turn(program: Program, lanes: int) -> None:
     """Raises `Unsupported` where one turn of the loop is not what JAX makes of it."""
     check.check(program, turn_of(program, lanes), functools.partial(check.turn_by_jax, program))
 
@@ -336,7 +336,7 @@ class Tables:
         for k, (table, aval) in enumerate(zip(self.program.tables, self.avals, strict=True)):
             initial_row = 0 if table.start is None else self.constants[table.start]
             long = isinstance(initial_row, InMemory)
-            self._put(k, initial_row if long else array_of(initial_row, aval.shape), "0")
+            self._put_row(k, initial_row if long else array_of(initial_row, aval.shape), "0")
 
     def leave(self, row: Sequence[np.ndarray]) -> None:
         """A turn's row, each of its arrays at its place, where it has one."""
@@ -353,11 +353,11 @@ class Tables:
             writer.start(before_label)
             for k, table in enumerate(self.program.tables):
                 if (table.places, table.height) == (places, height):
-                    self._put(k, row[k], place)
+                    self._put_row(k, row[k], place)
             writer.say(f"br label %{after_label}")
             writer.start(after_label)
 
-    def _put(self, k: int, array: Any, place: str) -> None:
+    def _put_row(self, k: int, array: Any, place: str) -> None:
         """Every sample's numbers of an array into a row of its table."""
         writer, kind = self.writer, kind_of(self.avals[k].dtype)
         count = floats_in([self.avals[k]])
@@ -422,7 +422,7 @@ def handed_over(writer: Writer, program: Program, state: Sequence[Any]) -> list[
     return out
 
 
-def _stored(writer: Writer, position: int, array: Any, kind: str) -> int:
+def _store(writer: Writer, position: int, array: Any, kind: str) -> int:
     """Puts an array into the packed row, from a position on; how many numbers these are."""
     if not isinstance(array, Long):
         for k, value in enumerate(array.flat, position):

@@ -78,9 +78,9 @@ class Buffer:
 
     def array(self) -> Long:
         """What stands in it."""
-        return Long(self.shape, self.kind, self._entry, self)
+        return Long(self.shape, self.kind, self._load_entry, self)
 
-    def _entry(self, index: Any) -> str:
+    def _load_entry(self, index: Any) -> str:
         wide = self.writer.wide(self.kind)
         return self.writer.put(f"load {wide}, ptr {self._place(index)}")
 
@@ -105,11 +105,11 @@ def entries_of(writer: Writer, array: Any, kind: str) -> Callable[[Any], Any]:
     if len(flat) and all(x is flat[0] or x == flat[0] for x in flat):
         return lambda _: flat[0]
     if kind == FLOAT and is_num(*flat):
-        return lambda k: flat[k] if is_num(k) else _looked_up(writer, flat, k)
+        return lambda k: flat[k] if is_num(k) else _look_up(writer, flat, k)
     return stored(writer, array, kind).entry
 
 
-def _looked_up(writer: Writer, numbers: np.ndarray, index: str) -> str:
+def _look_up(writer: Writer, numbers: np.ndarray, index: str) -> str:
     """One of many known numbers."""
     table = writer.table(numbers, FLOAT)
     place = writer.put(f"getelementptr double, ptr {table}, i64 {index}")
@@ -149,11 +149,11 @@ def view(writer: Writer, array: Any, kind: str, places: np.ndarray) -> Any:
         for k, place in enumerate(flat.tolist()):
             entries[k] = entry(place)
         return entries.reshape(places.shape)
-    index = _index(writer, flat)
+    index = _index_of_places(writer, flat)
     return Long(places.shape, kind, lambda k: entry(index(k)))
 
 
-def _index(writer: Writer, places: np.ndarray) -> Callable[[Any], Any]:
+def _index_of_places(writer: Writer, places: np.ndarray) -> Callable[[Any], Any]:
     """Known places, by a number that is known or in a register."""
     first, step = int(places[0]), int(places[-1] - places[0]) // max(len(places) - 1, 1)
     if (np.diff(places) == step).all():
@@ -193,7 +193,7 @@ def changed(
     out, entry, index = stored(writer, array, kind).buffer, entries_of(writer, update, kind), None
     if not places.size:
         return out.array()
-    index, old_entry = _index(writer, places.ravel()), out.array().entry
+    index, old_entry = _index_of_places(writer, places.ravel()), out.array().entry
 
     def put(k):
         place = index(k)
@@ -263,15 +263,15 @@ def rows_joined(writer: Writer, rows: Sequence[Any], kind: str) -> Any:
     """
     if not any(isinstance(row, Long) for row in rows):
         return np.stack(rows)
-    return joined(writer, [_as_a_row(row) for row in rows], kind, 0)
+    return joined(writer, [_as_row(row) for row in rows], kind, 0)
 
 
-def _as_a_row(array: Any) -> Any:
+def _as_row(array: Any) -> Any:
     shape = (1, *array.shape)
     return array.reshaped(shape) if isinstance(array, Long) else array.reshape(shape)
 
 
-def _over_shape(writer: Writer, array: Any, kind: str, shape: tuple[int, ...]) -> Callable:
+def _broadcast_entries(writer: Writer, array: Any, kind: str, shape: tuple[int, ...]) -> Callable:
     """The entries of an array as those of one of this shape: of an axis of length 1 the one entry
     stands for all."""
     if math.prod(array.shape) == 1:
@@ -281,7 +281,7 @@ def _over_shape(writer: Writer, array: Any, kind: str, shape: tuple[int, ...]) -
     if tuple(array.shape) == shape:
         return entry
     places = np.arange(math.prod(array.shape)).reshape(array.shape)
-    index = _index(writer, np.broadcast_to(places, shape).ravel())
+    index = _index_of_places(writer, np.broadcast_to(places, shape).ravel())
     return lambda k: entry(index(k))
 
 
@@ -298,7 +298,7 @@ def entrywise(writer: Writer, rule: Callable, equation: Any, arrays: Sequence[An
     kinds = [kind_of(atom.aval.dtype) for atom in equation.invars]
     buffer = Buffer(writer, tuple(aval.shape), kind_of(aval.dtype))
     pairs = zip(arrays, kinds, strict=True)
-    each = [_over_shape(writer, array, kind, buffer.shape) for array, kind in pairs]
+    each = [_broadcast_entries(writer, array, kind, buffer.shape) for array, kind in pairs]
 
     def turn(k):
         entry_result = rule(writer, equation, *[array_of(entry(k), ()) for entry in each])

@@ -11,15 +11,16 @@ from typing import Any
 from jaxclear.ground import cache_folder
 from jaxclear.native import stopping
 
-# How much LLVM optimises the text of a kernel, from 0 to 3.
-SPEED_LEVEL = 2
+# How much LLVM optimises each function of a kernel, from 0 (not) to 3. Its pipeline for whole
+# modules takes twice as long and makes the same code, as does level 2.
+SPEED_LEVEL = 1
 
 
 def compiled(text: str) -> Any:
     """An engine that holds the machine code; the code lives as long as it does."""
     import llvmlite.binding as llvm
 
-    return _engine(llvm.ObjectFileRef.from_data(_object_code(text)))
+    return _load_object(llvm.ObjectFileRef.from_data(_compile_to_object(text)))
 
 
 def load_or_compile(text: str) -> tuple[Any, str]:
@@ -31,9 +32,9 @@ def load_or_compile(text: str) -> tuple[Any, str]:
         return engine, key
     import llvmlite.binding as llvm
 
-    code = _object_code(text)
+    code = _compile_to_object(text)
     cache_folder.write(cache_folder.KERNEL, key, code)
-    return _engine(llvm.ObjectFileRef.from_data(code)), key
+    return _load_object(llvm.ObjectFileRef.from_data(code)), key
 
 
 def from_disk(key: str) -> Any:
@@ -41,23 +42,40 @@ def from_disk(key: str) -> Any:
     import llvmlite.binding as llvm
 
     code = cache_folder.read(cache_folder.KERNEL, key)
-    return None if code is None else _engine(llvm.ObjectFileRef.from_data(code))
+    return None if code is None else _load_object(llvm.ObjectFileRef.from_data(code))
 
 
-def _object_code(text: str) -> bytes:
+def _compile_to_object(text: str) -> bytes:
     import llvmlite.binding as llvm
 
-    module, machine = llvm.parse_assembly(text), _target()
-    options = llvm.create_pipeline_tuning_options(speed_level=SPEED_LEVEL)
-    passes = llvm.create_pass_builder(machine, options)
-    passes.getModulePassManager().run(module, passes)
+    module, machine = llvm.parse_assembly(text), _target_machine()
+    if SPEED_LEVEL:
+        optimise(module, machine)
     return machine.emit_object(module)
 
 
-def _engine(code: Any) -> Any:
+def optimise(module: Any, machine: Any) -> None:
+    """Inlines the elementary functions, then simplifies each function by itself."""
     import llvmlite.binding as llvm
 
-    machine = _target()
+    options = llvm.create_pipeline_tuning_options(speed_level=SPEED_LEVEL)
+    passes = llvm.create_pass_builder(machine, options)
+    for function in module.functions:
+        if function.name.startswith("jc."):
+            function.add_function_attribute("alwaysinline")
+    inliner = llvm.create_new_module_pass_manager()
+    inliner.add_always_inliner_pass()
+    inliner.run(module, passes)
+    simplification = passes.getFunctionPassManager()
+    for function in module.functions:
+        if not function.is_declaration:
+            simplification.run(function, passes)
+
+
+def _load_object(code: Any) -> Any:
+    import llvmlite.binding as llvm
+
+    machine = _target_machine()
     stopping.place_flag()
     engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine)
     engine.add_object_file(code)
@@ -77,7 +95,7 @@ def processor() -> str:
     return f"{llvm.get_process_triple()} {name} {features} {numbers}"
 
 
-def _target() -> Any:
+def _target_machine() -> Any:
     """LLVM's description of this processor; an engine takes it over, so each needs its own."""
     import llvmlite.binding as llvm
 

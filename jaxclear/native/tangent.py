@@ -43,26 +43,26 @@ def moving_state(
         constants: which constants of the body have a tangent.
         state: which parts of the first state have one.
     """
-    now, out = _settled(program.body, constants, state)
+    now, out = _moving_fixed_point(program.body, constants, state)
     initial_moves = (t.start is not None and constants[t.start] for t in program.tables)
     rows = zip(out[len(now) :], initial_moves, strict=True)
     return (*now, *(row or first for row, first in rows))
 
 
-def _settled(
+def _moving_fixed_point(
     body: ClosedJaxpr, fixed: Sequence[bool], first: Sequence[bool], rows: Sequence[bool] = ()
 ) -> tuple[tuple[bool, ...], list[bool]]:
     """(which parts of what a body hands on to itself ever move, which of its results do)."""
     now = tuple(first)
     while True:
-        out = _moved(body, [*fixed, *now, *rows])
+        out = _moving_results(body, [*fixed, *now, *rows])
         after = tuple(a or b for a, b in zip(now, out, strict=False))
         if after == now:
             return now, out
         now = after
 
 
-def _moved(program: ClosedJaxpr, inputs: Sequence[bool]) -> list[bool]:
+def _moving_results(program: ClosedJaxpr, inputs: Sequence[bool]) -> list[bool]:
     """Which results depend on the inputs that move."""
     jaxpr = getattr(program, "jaxpr", program)
     moving = {v for v, moves in zip(jaxpr.invars, inputs, strict=True) if moves}
@@ -73,33 +73,33 @@ def _moved(program: ClosedJaxpr, inputs: Sequence[bool]) -> list[bool]:
     for equation in jaxpr.eqns:
         moving_in = [moves(atom) for atom in equation.invars]
         if any(moving_in):
-            flags = zip(equation.outvars, _moved_by(equation, moving_in), strict=True)
+            flags = zip(equation.outvars, _is_result_moved(equation, moving_in), strict=True)
             moving |= {v for v, m in flags if m and np.issubdtype(v.aval.dtype, np.floating)}
     return [moves(atom) for atom in jaxpr.outvars]
 
 
-def _moved_by(equation: Any, inputs: list[bool]) -> list[bool]:
+def _is_result_moved(equation: Any, inputs: list[bool]) -> list[bool]:
     """Which results of an operation depend on its inputs that move."""
     name, p = equation.primitive.name, equation.params
     if name == "stop_gradient":
         return [False]
     if name in CALLS:
-        return _moved(called(p), inputs)
+        return _moving_results(called(p), inputs)
     if name == "jaxclear_loop":
         inner = p["program"]
         c, b = inner.condition_constants, inner.condition_constants + inner.body_constants
         return list(moving_state(inner, inputs[c:b], inputs[b:]))
     if name == "cond":
-        branches = [_moved(branch, inputs[1:]) for branch in p["branches"]]
+        branches = [_moving_results(branch, inputs[1:]) for branch in p["branches"]]
         return [any(each) for each in zip(*branches, strict=True)]
     if name == "while":
         c, b = p["cond_nconsts"], p["cond_nconsts"] + p["body_nconsts"]
-        return list(_settled(p["body_jaxpr"], inputs[c:b], inputs[b:])[0])
+        return list(_moving_fixed_point(p["body_jaxpr"], inputs[c:b], inputs[b:])[0])
     if name == "scan":
         fixed, carried = scan_counts(p)
         carried += fixed
         parts = inputs[:fixed], inputs[fixed:carried], inputs[carried:]
-        now, out = _settled(p["jaxpr"], *parts)
+        now, out = _moving_fixed_point(p["jaxpr"], *parts)
         return [*now, *out[len(now) :]]
     return [True] * len(equation.outvars)
 

@@ -34,7 +34,7 @@ def while_loop(
             vmapped: whether XLA gets it as if this module had not been used, where it becomes no
             kernel.
     """
-    in_memory = _long_parts(long, first)
+    in_memory = _leaves_in_memory(long, first)
     first = jax.tree.map(jnp.asarray, first)
     leaves, structure = jax.tree.flatten(first)
     tests, fixed_tests = opened(jax.make_jaxpr(condition)(first))
@@ -49,7 +49,7 @@ def while_loop(
     return jax.tree.unflatten(structure, out)
 
 
-def _long_parts(long: Any, first: Any) -> frozenset[int]:
+def _leaves_in_memory(long: Any, first: Any) -> frozenset[int]:
     """Which leaves of a state stand in memory."""
     wide = jax.tree.map(lambda flag, part: [flag] * len(jax.tree.leaves(part)), long, first)
     pairs = zip(jax.tree.leaves(wide), jax.tree.leaves(first), strict=True)
@@ -99,12 +99,12 @@ def scan(
         long: as of `while_loop`.
     """
     length = len(jax.tree.leaves(rows)[0])
-    tables = jax.tree.map(_in_memory, rows)
-    places = [_in_memory(each.places) for each in layouts] or [_in_memory(np.arange(length))]
+    tables = jax.tree.map(_memory_table, rows)
+    places = [_memory_table(each.places) for each in layouts] or [_memory_table(np.arange(length))]
     starts = [jax.tree.map(jnp.asarray, jax.tree.leaves(each.start)) for each in layouts]
     for each in layouts:
         _check_layout(each, length)
-    parts_in_memory = _long_parts((False, long), (0, first))
+    parts_in_memory = _leaves_in_memory((False, long), (0, first))
     first = jax.tree.map(jnp.asarray, (0, first))
     form: list[Any] = []
 
@@ -125,7 +125,7 @@ def scan(
     shape, parts = form[0]
     fixed_arrays = jax.tree.leaves((places, starts))
     heights = [each.height for each in layouts] or [length]
-    tables_out = _tables(parts, heights, [len(each) for each in starts] or [0], len(fixed))
+    tables_out = _make_tables(parts, heights, [len(each) for each in starts] or [0], len(fixed))
     fixed = [*fixed, *fixed_arrays]
     body_of_all = loops_marked(turns, within=True)
     program = Program(tests, body_of_all, 0, len(fixed), length=length, tables=tables_out)
@@ -150,7 +150,7 @@ def _check_layout(layout: TableLayout, length: int) -> None:
         raise ValueError("a table of a scan has rows that no turn leaves.")
 
 
-def _in_memory(table: Any) -> Any:
+def _memory_table(table: Any) -> Any:
     """A table as floats that a kernel reads from memory, however short: an entry of registers is
     chosen among all of them."""
     beyond = max(0, LONGEST_IN_REGISTERS + 1 - len(table))
@@ -159,7 +159,7 @@ def _in_memory(table: Any) -> Any:
     return jnp.asarray(by.concatenate([by.asarray(table, float), filled]))
 
 
-def _tables(
+def _make_tables(
     parts: Sequence[int], heights: Sequence[int], starts: Sequence[int], ahead: int
 ) -> tuple[Table, ...]:
     """The table of each array that turns leave, where so many arrays are in each of the parts, as

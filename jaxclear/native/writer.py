@@ -128,12 +128,12 @@ class Writer:
         """A register holding the right-hand side: that of before, where the same was written within
         the current region, of what no memory that changes has a part in."""
         if right.startswith("load") and "!invariant" not in right:
-            return self._new(right)
+            return self._new_register(right)
         if right not in self._registers:
-            self._registers[right] = self._new(right)
+            self._registers[right] = self._new_register(right)
         return self._registers[right]
 
-    def _new(self, right: str) -> str:
+    def _new_register(self, right: str) -> str:
         name = self.fresh()
         self.lines.append(f"  {name} = {right}")
         return name
@@ -233,7 +233,7 @@ class Writer:
         stays = ", !invariant.load !0" if array.version is None else ""
         parts = [
             self.put(f"load double, ptr {place}{stays}")
-            for place in self._entries(array, flat_index)
+            for place in self._addresses_of_entries(array, flat_index)
         ]
         return self.gather_lanes(parts, FLOAT)
 
@@ -245,13 +245,13 @@ class Writer:
             flat_index: row-major index of the first of them, known or in a register.
             shape: of the result.
         """
-        return InMemory(self._entries(array, flat_index), shape)
+        return InMemory(self._addresses_of_entries(array, flat_index), shape)
 
     def change(self, array: InMemory, entries: list[tuple[Any, Any]]) -> InMemory:
         """The array once entries at row-major indices have been given these numbers; as it was it
         can be read no more. Samples that have ended keep theirs."""
         for flat_index, value in entries:
-            places = self._entries(array, flat_index)
+            places = self._addresses_of_entries(array, flat_index)
             if self.active is not None:
                 old = self.read(array, flat_index)
                 value = self.choose(self.active, value, old, FLOAT)
@@ -274,7 +274,7 @@ class Writer:
         if array.version != self._versions.get(array.places[0], array.version):
             raise Unsupported("a long array as it was before it changed")
 
-    def _entries(self, array: InMemory, flat_index: Any) -> list[str]:
+    def _addresses_of_entries(self, array: InMemory, flat_index: Any) -> list[str]:
         """Registers with the place of each sample's entry."""
         return [
             self.put(f"getelementptr double, ptr {start}, i64 {self.lane(flat_index, INT, lane)}")

@@ -164,7 +164,7 @@ def write_vtk(run: Any, folder: Any, frames: int, meshes: Any) -> Path:
     folder = Path(folder)
     if folder.exists() and not folder.is_dir():
         raise ValueError(f"the folder {folder} is a file; give a folder.")
-    solids = [*_bodies(run, meshes), *_walls(run)]
+    solids = [*_body_solids(run, meshes), *_wall_solids(run)]
     folder.mkdir(parents=True, exist_ok=True)
     time = np.asarray(run.time)
     last = int(np.sum(time <= float(run.ended) * (1 + 1e-12)))
@@ -180,7 +180,7 @@ def write_vtk(run: Any, folder: Any, frames: int, meshes: Any) -> Path:
     root = ElementTree.Element("VTKFile", type="Collection", version="0.1")
     series = ElementTree.SubElement(root, "Collection")
     for count, at in enumerate(chosen):
-        placed = [_placed(one, motions.get(one.body), at) for one in solids]
+        placed = [_place_solid(one, motions.get(one.body), at) for one in solids]
         points, velocity = (np.concatenate(x) for x in zip(*placed, strict=True))
         name = f"run_{count:05d}.vtu"
         meshio.Mesh(
@@ -195,7 +195,7 @@ def write_vtk(run: Any, folder: Any, frames: int, meshes: Any) -> Path:
     return path
 
 
-def _bodies(run: Any, meshes: Any) -> list[_Solid]:
+def _body_solids(run: Any, meshes: Any) -> list[_Solid]:
     solids = parts(run, checked_meshes(run, meshes), size_of(run))
     return [
         _Solid(name, x.points, "triangle", x.corners, np.zeros(len(x.corners)))
@@ -204,7 +204,7 @@ def _bodies(run: Any, meshes: Any) -> list[_Solid]:
     ]
 
 
-def _walls(run: Any) -> list[_Solid]:
+def _wall_solids(run: Any) -> list[_Solid]:
     """Every worn wall: of a bearing, socket or guide on the parent, of a journal, ball or slider on
     the child."""
     solids = []
@@ -226,7 +226,7 @@ def _walls(run: Any) -> list[_Solid]:
     return solids
 
 
-def _placed(solid: _Solid, motion: Any, at: int) -> tuple[np.ndarray, np.ndarray]:
+def _place_solid(solid: _Solid, motion: Any, at: int) -> tuple[np.ndarray, np.ndarray]:
     """Points [m] and their velocity [m/s] in the ground frame at a saving time."""
     if motion is None:
         return solid.points, np.zeros_like(solid.points)

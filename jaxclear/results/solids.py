@@ -223,14 +223,14 @@ def parts(run: Any, meshes: Mapping[str, Triangles], size: float) -> dict[str, P
     joints: dict[str, dict[str, Triangles]] = {name: {} for name in ends}
     hinges = parts_of_beams(run.mechanism.loads)
     for name, connection in run.mechanism.connections.items():
-        outer, inner = _joint(connection, size, _travel(run, name))
+        outer, inner = _joint(connection, size, _travel_of_slider(run, name))
         for marker, part in ((connection.parent, outer), (connection.child, inner)):
             rotation, place = marker_frame(marker)
             if not len(part.points):
                 continue
             ends[marker.body].append(place)
             if marker.body == GROUND and not slides(connection.joint):
-                part = joined([part, _plate(part)])
+                part = joined([part, _base_plate(part)])
             if name not in hinges:
                 joints[marker.body][name] = part.moved(rotation, place)
     solids = {name: joined([]) for name in ends} | dict(meshes)
@@ -255,7 +255,7 @@ def rows_of(joint: Any) -> set[str]:
     return set(getattr(gap, "rows", ()) or getattr(gap, "ideal_rows", ()))
 
 
-def _plate(part: Triangles) -> Triangles:
+def _base_plate(part: Triangles) -> Triangles:
     """What a joint of the ground is fastened to: a square behind its part."""
     width, thick = 1.5 * np.ptp(part.points[:, 0]), 0.1 * np.ptp(part.points[:, 0])
     behind = np.array([0.0, 0.0, part.points[:, 2].min() - 0.5 * thick])
@@ -270,7 +270,7 @@ def _joint(connection: Connection, size: float, travel: tuple[float, float]) -> 
     if not {"x"} <= rows:
         return empty, empty
     if slides(joint):
-        return _rail(joint, size, travel)
+        return _rail_solids(joint, size, travel)
     radius = float(getattr(joint, "bearing_radius", getattr(joint, "socket_radius", PIN * size)))
     if rows == {"x", "y", "z"}:
         ring = tube(1.02 * radius, AROUND_IT * radius, radius)
@@ -279,7 +279,7 @@ def _joint(connection: Connection, size: float, travel: tuple[float, float]) -> 
     return tube(radius, AROUND_IT * radius, 0.8 * long), rod(0.98 * radius, long)
 
 
-def _rail(joint: Any, size: float, travel: tuple[float, float]) -> tuple:
+def _rail_solids(joint: Any, size: float, travel: tuple[float, float]) -> tuple:
     """Rails on both sides, as long as the slider travels, and the slider."""
     width = float(getattr(joint, "width", 2 * PIN * size))
     long = float(getattr(joint, "length", 2 * width))
@@ -295,7 +295,7 @@ def _rail(joint: Any, size: float, travel: tuple[float, float]) -> tuple:
     return joined(rails), box((width, width, long))
 
 
-def _travel(run: Any, name: str) -> tuple[float, float]:
+def _travel_of_slider(run: Any, name: str) -> tuple[float, float]:
     """Least and largest place [m] of a child's marker along the z axis of its parent's."""
     along = relative_motion(run, name).offset[:, 2]
     along = along[np.isfinite(along)]
@@ -356,12 +356,12 @@ class Wall(NamedTuple):
     depth: np.ndarray
 
 
-def _cylinder(wear_map: Any, reach: np.ndarray) -> np.ndarray:
+def _cylinder_points(wear_map: Any, reach: np.ndarray) -> np.ndarray:
     angle, height = _grid(reach, (-0.5 * float(wear_map.length), 0.5 * float(wear_map.length)))
     return np.stack([reach * np.cos(angle), reach * np.sin(angle), height], -1)
 
 
-def _sphere(wear_map: Any, reach: np.ndarray) -> np.ndarray:
+def _sphere_points(wear_map: Any, reach: np.ndarray) -> np.ndarray:
     angle, rise = _grid(reach, (-0.5 * np.pi, 0.5 * np.pi))
     flat = reach * np.cos(rise)
     return np.stack([flat * np.cos(angle), flat * np.sin(angle), reach * np.sin(rise)], -1)
@@ -376,10 +376,10 @@ def _grid(reach: np.ndarray, ends: tuple[float, float]) -> tuple[np.ndarray, np.
 
 # The shape of a wall, and whether wear widens it, by the surface's name.
 SHAPES: dict[str, tuple[Callable, int]] = {
-    "bearing": (_cylinder, 1),
-    "journal": (_cylinder, -1),
-    "socket": (_sphere, 1),
-    "ball": (_sphere, -1),
+    "bearing": (_cylinder_points, 1),
+    "journal": (_cylinder_points, -1),
+    "socket": (_sphere_points, 1),
+    "ball": (_sphere_points, -1),
 }
 
 
@@ -392,7 +392,7 @@ def wall(wear_map: Any, surface: str, depth: np.ndarray) -> Wall | None:
         depth: worn depth [m] of each cell, shape (around, along).
     """
     if wear_map.flat:
-        return _flat(wear_map, 1 if surface == "guide" else -1, depth)
+        return _flat_wall(wear_map, 1 if surface == "guide" else -1, depth)
     if surface not in SHAPES:
         return None
     shape, sign = SHAPES[surface]
@@ -409,7 +409,7 @@ def wall(wear_map: Any, surface: str, depth: np.ndarray) -> Wall | None:
     return Wall(points, np.stack(corners, -1).reshape(-1, 4), depth.reshape(-1))
 
 
-def _flat(wear_map: Any, sign: int, depth: np.ndarray) -> Wall:
+def _flat_wall(wear_map: Any, sign: int, depth: np.ndarray) -> Wall:
     """The walls of a guide, or the faces of a slider, each as deep as its cells at their edges."""
     along = depth.shape[1]
     padded = np.pad(depth, ((0, 0), (1, 1)), mode="edge")

@@ -104,7 +104,7 @@ def bearing(
     )
 
 
-def _link(mass: float, length: float, offset: float | None = None) -> Body:
+def _make_link(mass: float, length: float, offset: float | None = None) -> Body:
     swing = mass * length**2 / 12
     if offset is None:
         return Body(mass, swing, (0.5 * length, 0.0))
@@ -151,9 +151,9 @@ def four_bar(
     tip = (FOLLOWER, 0.0, -follower_offset) if spatial else (FOLLOWER, 0.0)
     return Mechanism(
         bodies={
-            "crank": _link(0.46, CRANK),
-            "coupler": _link(1.44, COUPLER),
-            "follower": _link(1.63, FOLLOWER, follower_offset if spatial else None),
+            "crank": _make_link(0.46, CRANK),
+            "coupler": _make_link(1.44, COUPLER),
+            "follower": _make_link(1.63, FOLLOWER, follower_offset if spatial else None),
         },
         connections={
             "O": Connection(Revolute(drive=ConstantSpeed(crank_speed)), "ground", "crank"),

@@ -94,7 +94,7 @@ def usual_drive(period: Any) -> Harmonic:
     return Harmonic(half, 1 / period, -0.5 * jnp.pi, middle)
 
 
-def _bodies() -> dict[str, Body]:
+def _make_bodies() -> dict[str, Body]:
     across = ROD_MASS * (ROD**2 / 12 + ROD_RADIUS**2 / 4)
     rod = Body(ROD_MASS, (0.5 * ROD_MASS * ROD_RADIUS**2, across, across), (0.5 * ROD, 0.0, 0.0))
     disk = 0.25 * PLATFORM_MASS * CIRCLE**2
@@ -181,5 +181,5 @@ def parallel_3rsr(
     else:
         guess[first] = (0.0, 0.0, -2 * LOWEST)
     return Mechanism(
-        _bodies(), connections, {"gravity": Gravity((0.0, 0.0, -GRAVITY))}, guess=guess
+        _make_bodies(), connections, {"gravity": Gravity((0.0, 0.0, -GRAVITY))}, guess=guess
     )

@@ -72,19 +72,19 @@ def refusal(mechanism: Mechanism, integrator: AbstractIntegrator, discrete: bool
     joints = mechanism.topology.clearances
     unknown = integrator.beyond_touches(mechanism) if joints else ""
     if joints and (unknown or discrete):
-        some = _named("joint", joints)
+        some = _list_names("joint", joints)
         unknown = unknown or "how the instants of touch move"
         return f"contacts in {some} open and close, and {reason} {name} does not know {unknown}"
     plays = tuple(each for each, one in mechanism.couplings.items() if one.play is not None)
     unknown = integrator.beyond_flanks(mechanism) if plays else ""
     if not plays or not (unknown or discrete):
         return ""
-    some = _named("coupling", plays)
+    some = _list_names("coupling", plays)
     unknown = unknown or "how the instants move at which flanks meet"
     return f"flanks of {some} meet and part, and {reason} {name} does not know {unknown}"
 
 
-def _named(kind: str, names: tuple[str, ...]) -> str:
+def _list_names(kind: str, names: tuple[str, ...]) -> str:
     named = " and ".join(f'"{name}"' for name in names[:2])
     return f"{kind} {named}" if len(names) == 1 else f"{kind}s {named}{' …' * (len(names) > 2)}"
 
@@ -116,17 +116,17 @@ def guarded(run: Trajectory, integrator: AbstractIntegrator, discrete: bool = Fa
         )
     sentence = f"the derivative of this run is not to be trusted: {why}; {passages}."
     numbers, rest = eqx.partition(COMPUTED(run), eqx.is_inexact_array)
-    result = eqx.combine(_undifferentiated(sentence, numbers), rest)
+    result = eqx.combine(_refuse_derivative(sentence, numbers), rest)
     return eqx.tree_at(COMPUTED, run, result, is_leaf=lambda part: part is None)
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
-def _undifferentiated(sentence: str, numbers: Any) -> Any:
+def _refuse_derivative(sentence: str, numbers: Any) -> Any:
     """The numbers as they are."""
     return numbers
 
 
-@_undifferentiated.defjvp
+@_refuse_derivative.defjvp
 def _refuse(sentence, primals, tangents):
     raise ValueError(sentence)
 
@@ -136,18 +136,18 @@ def until_the_end(run: Trajectory) -> Trajectory:
     if not is_traced(run.states):
         return run
     reached = (run.time <= run.ended) | (run.outcome == Outcome.REACHED)
-    states = _where_reached(run.states, constant(reached))
+    states = _guard_states(run.states, constant(reached))
     return eqx.tree_at(lambda run: run.history.states, run, states)
 
 
 @jax.custom_jvp
-def _where_reached(states: Array, reached: Array) -> Array:
+def _guard_states(states: Array, reached: Array) -> Array:
     """The states as they are."""
     return states
 
 
-@_where_reached.defjvp
-def _not_beyond(primals, tangents):
+@_guard_states.defjvp
+def _guard_jvp(primals, tangents):
     reached, nan = primals[1][:, None], Unknown.NOT_REACHED.number
     forwards = lambda _, tangent: jnp.where(reached, tangent, nan)
     # What is not asked for in reverse mode stays 0.

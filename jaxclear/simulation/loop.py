@@ -173,10 +173,10 @@ def run(
     model, worn, viewed = turn.model, first.worn, turn.model.seeing(first.read)
     spans = Span(times[:-1], times[1:], jnp.diff(times) / (times[-1] - times[0]))
     if _fits_one_kernel(integrator, extras, worn):
-        last, saved = _in_one_kernel(turn, first, spans, updates)
+        last, saved = _run_in_one_kernel(turn, first, spans, updates)
     else:
         counted = integrator.steps_between_saves
-        last, saved = _from_save_to_save(turn, first, spans, counted, updates)
+        last, saved = _run_by_saves(turn, first, spans, counted, updates)
     if _sweeps_outside_kernels(model, integrator, first.warm_start):
         last, saved = forwards_only(NOT_THROUGH_SWEEPS, (last, saved))
     states = integrator.check_derivatives(viewed, times, saved.states, last.state, last.warm_start)
@@ -186,7 +186,8 @@ def run(
         noted = noted._replace(counts=noted.counts * (times[:-1] <= last.ended)[:, None])
     extremes = largest_of(mechanism, model, last)
     ends = history, last.worn, last.outcome, last.ended, stats
-    return judged(Trajectory(*ends, extremes=extremes, noted=noted), model, worn)
+    residual = integrator.law_residual(model, last.warm_start)
+    return judged(Trajectory(*ends, extremes=extremes, noted=noted), model, worn, residual)
 
 
 def largest_of(mechanism: Mechanism, model: Model, last: Carry) -> Extremes | None:
@@ -250,7 +251,12 @@ def first_turn(
     turn = Turn(model, integrator, extras.report)
     reached, none = jnp.asarray(Outcome.REACHED), jnp.zeros((), int)
     first = Carry(state, worn, read, warm_start, reached, times[0], (none, none), None, None)
-    peaks, sent = turn.initial_peaks(first)
+    number = jnp.zeros(())
+    ahead = turn.interval_ahead(Span(number, number, number), jnp.ones((), bool), None)
+    # None where the integrator follows none.
+    shapes = jax.eval_shape(turn.advance, turn.arrays, read, ahead, state, warm_start)
+    peaks = jax.tree.map(lambda each: jnp.full(each.shape, -jnp.inf), shapes.peaks)
+    sent = jax.tree.map(jnp.zeros_like, shapes.transmitted)
     return mechanism, turn, first._replace(peaks=peaks, transmitted=sent)
 
 
@@ -362,17 +368,8 @@ class Turn:
         # Traced once, however often a turn stands in the program.
         self.advance = jax.jit(advance)
 
-    def initial_peaks(self, first: Carry) -> tuple[Peaks | None, Any]:
-        """Peaks, and what couplings have transmitted, before the first turn; None where the
-        integrator follows none."""
-        number = jnp.zeros(())
-        ahead = self._ahead(Span(number, number, number), jnp.ones((), bool), None)
-        inputs = self.arrays, first.read, ahead, first.state, first.warm_start
-        shapes = jax.eval_shape(self.advance, *inputs)
-        peaks = jax.tree.map(lambda each: jnp.full(each.shape, -jnp.inf), shapes.peaks)
-        return peaks, jax.tree.map(jnp.zeros_like, shapes.transmitted)
-
-    def _ahead(self, span: Span, running: Array, peaks: Peaks | None) -> Interval:
+    def interval_ahead(self, span: Span, running: Array, peaks: Peaks | None) -> Interval:
+        """The interval of a span, with the peaks of the run until then (None: it begins)."""
         weights, none = error_weights(self.model), jnp.full(self.model.layout.contacts, -jnp.inf)
         if not none.size:
             return Interval(span.start, span.stop, weights, running)
@@ -398,7 +395,7 @@ class Turn:
             jax.debug.callback(progress.advance, span.progress)
         model, layout = self.model, self.model.layout
         running = (now.outcome == Outcome.REACHED).astype(bool)
-        ahead = self._ahead(span, running, now.peaks)
+        ahead = self.interval_ahead(span, running, now.peaks)
         start = sampled(model, span.start, now.state)
         result = self.advance(self.arrays, now.read, ahead, start, now.warm_start)
         moving = result.state[: layout.memory_start]
@@ -428,7 +425,7 @@ class Turn:
         return after, losses(layout, now.state, state), result.events
 
 
-def _between_updates(
+def _advance_by_updates(
     motion: Callable,
     system: System,
     limits: UpdateLimits,
@@ -485,7 +482,7 @@ def _between_updates(
     return parts
 
 
-def _between_instants(turn: Turn, loop: Callable, part: Callable) -> Callable:
+def _advance_by_instants(turn: Turn, loop: Callable, part: Callable) -> Callable:
     """A part of a saving interval that is gone through from instant to instant of what is sampled,
     and of what steps are to end at, by a while `loop`; the part itself where there are none."""
     system, breaks = turn.model.system, turn.breaks
@@ -519,11 +516,11 @@ def through_interval(turn: Turn) -> Callable[[Carry, Span], Carry]:
         now, _, noted = turn.motion(now, span)
         return now, ((), noted)
 
-    interval = _between_instants(turn, while_loop, part)
+    interval = _advance_by_instants(turn, while_loop, part)
     return lambda now, span: interval(now, span)[0]
 
 
-def _in_one_kernel(turn: Turn, first: Carry, spans: Span, updates: Any) -> tuple[Carry, Saved]:
+def _run_in_one_kernel(turn: Turn, first: Carry, spans: Span, updates: Any) -> tuple[Carry, Saved]:
     """(what the last turn hands on, what is left at all saving times). Before a part at whose start
     they are due surfaces are worn by what was lost until then, and after the last."""
     model, count, step = turn.model, len(spans.start), turn.step
@@ -547,8 +544,8 @@ def _in_one_kernel(turn: Turn, first: Carry, spans: Span, updates: Any) -> tuple
     else:
         limits, spans = _update_limits(model.system, spans, step, updates)
         length = limits.longest
-        part = _between_updates(turn.motion, model.system, limits, step, settled, by_kernel)
-    part = _between_instants(turn, by_kernel, part)
+        part = _advance_by_updates(turn.motion, model.system, limits, step, settled, by_kernel)
+    part = _advance_by_instants(turn, by_kernel, part)
 
     def one(carry, span):
         carry, (_, noted) = part(carry, span)
@@ -563,11 +560,11 @@ def _in_one_kernel(turn: Turn, first: Carry, spans: Span, updates: Any) -> tuple
     return done[0], Saved(states, read, noted)
 
 
-def _from_save_to_save(
+def _run_by_saves(
     turn: Turn, first: Carry, spans: Span, counted: int | None, updates: Any
 ) -> tuple[Carry, Saved]:
-    """As `_in_one_kernel`, each turn by itself; XLA wears surfaces. Where steps are `counted` it
-    goes backwards through them, and surfaces wear behind each turn."""
+    """As `_run_in_one_kernel`, each turn by itself; XLA wears surfaces. Where steps are `counted`
+    it goes backwards through them, and surfaces wear behind each turn."""
     system, layout, step = turn.model.system, turn.model.layout, turn.step
     motion = turn.motion if counted is not None or not first.read else _as_a_kernel(turn.motion)
     by_path = bool(first.worn) and counted is None
@@ -580,7 +577,7 @@ def _from_save_to_save(
     if by_path:
         limits, spans = _update_limits(system, spans, step, updates)
         entry = first, pending_wear(system, layout, first.state).since, limits.longest
-        between = _between_updates(motion, system, limits, step, settled, jax.lax.while_loop)
+        between = _advance_by_updates(motion, system, limits, step, settled, jax.lax.while_loop)
 
     def part(carry, span):
         if by_path:
@@ -594,7 +591,7 @@ def _from_save_to_save(
         return (now,), (read, noted)
 
     if counted is None:
-        part = _between_instants(turn, jax.lax.while_loop, part)
+        part = _advance_by_instants(turn, jax.lax.while_loop, part)
 
     def one(carry, span):
         carry, (read, noted) = part(carry, span)

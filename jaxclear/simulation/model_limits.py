@@ -132,16 +132,16 @@ def shared(
     forces = [_on_ends(one, forces_of) for one, forces_of in zip(joints, acting, strict=True)]
     added = [
         [
-            _on_ends(one, _sum(forces_of, extra)) - force
+            _on_ends(one, _add_reactions(forces_of, extra)) - force
             for one, forces_of, extra, force in zip(joints, acting, row, forces, strict=True)
         ]
         for row in rows
     ]
-    share = _least_squares(forces, added)
+    share = _least_squares_shares(forces, added)
     columns = []
     for k, force in enumerate(forces):
         others = force + sum(x * row[k] for x, row in zip(share, added, strict=True))
-        sizes, changed = _sizes(force), _sizes(others)
+        sizes, changed = _sizes_of_forces(force), _sizes_of_forces(others)
         columns.append(jnp.stack([jnp.sum(sizes), jnp.sum(abs(changed - sizes))]))
     return jnp.stack(columns, axis=1)
 
@@ -160,15 +160,15 @@ def _on_ends(one: Any, reaction: Reaction) -> Float[Array, "ends 3"]:
     return jnp.stack([sp.stack(end.force) for end in one.joint.carrying_ends(*reaction, none)])
 
 
-def _sum(a: Reaction, b: Reaction) -> Reaction:
+def _add_reactions(a: Reaction, b: Reaction) -> Reaction:
     return Reaction(sp.plus(a.force, b.force), sp.plus(a.torque, b.torque))
 
 
-def _sizes(forces: Float[Array, "ends 3"]) -> Float[Array, " ends"]:
+def _sizes_of_forces(forces: Float[Array, "ends 3"]) -> Float[Array, " ends"]:
     return jnp.stack([sp.norm(tuple(force)) for force in forces])
 
 
-def _least_squares(forces: list[Array], added: list[list[Array]]) -> tuple:
+def _least_squares_shares(forces: list[Array], added: list[list[Array]]) -> tuple:
     """How much of each row [N, N m] makes the sum of squares of the forces least."""
     flat = [jnp.concatenate([part.ravel() for part in row]) for row in added]
     acting = jnp.concatenate([part.ravel() for part in forces])

@@ -46,7 +46,7 @@ def initial_depths(mechanism: Mechanism, depths: Worn | None) -> Worn | None:
             check_name("worn surface", surface, cells[joint], f' of joint "{joint}"')
     return {
         joint: {
-            surface: _depths(f'worn["{joint}"]["{surface}"]', depths[joint][surface], shape)
+            surface: _check_depths(f'worn["{joint}"]["{surface}"]', depths[joint][surface], shape)
             if surface in depths.get(joint, {})
             else jnp.zeros(shape)
             for surface, shape in surfaces.items()
@@ -66,7 +66,7 @@ def with_coarser_cells(mechanism: Mechanism, factor: float) -> Mechanism:
     return jax.tree.map(wider, mechanism, is_leaf=is_wearing)
 
 
-def _depths(name: str, depths: Any, cells: tuple[int, ...]) -> Array:
+def _check_depths(name: str, depths: Any, cells: tuple[int, ...]) -> Array:
     """Depths of a map of so many cells [m]."""
     if jnp.shape(depths) != tuple(cells):
         raise ValueError(
@@ -173,13 +173,13 @@ def deposited(system: System, worn: Worn, losses: Losses) -> Worn:
     """
     worn = {name: dict(surfaces) for name, surfaces in worn.items()}
     for (joint, surface), (volumes, places) in losses.items():
-        wear_map, places = _facing_others(system, worn, joint, surface, places)
+        wear_map, places = _map_with_other_wear(system, worn, joint, surface, places)
         # All events of a surface see it as it was: none comes before the others.
         worn[joint][surface] = wear_map.deposit(worn[joint][surface], volumes, places)
     return worn
 
 
-def _facing_others(
+def _map_with_other_wear(
     system: System, worn: Worn, joint: str, surface: str, places: Array
 ) -> tuple[AbstractWearMap, Array]:
     """(map of a surface, location features of its events) beside what the other surfaces of its
@@ -228,7 +228,7 @@ def pending_wear(system: System, layout: Layout, state: Array) -> Pending:
     for surface, (volumes, _) in losses(layout, state, state).items():
         cells = maps[surface[0]][surface[1]][0].cells
         pressures[surface] = tuple(jnp.zeros(cells) for _ in volumes)
-    return Pending(state[_of_wear(layout)], pressures)
+    return Pending(state[_wear_entries(layout)], pressures)
 
 
 def worn_so_far(
@@ -256,7 +256,7 @@ def _wear_in_turn(system: System, now: tuple[Worn, Any, Any], losses: Losses) ->
     worn, read = ({name: dict(m) for name, m in part.items()} for part in now[:2])
     pressures = dict(now[2])
     for (joint, surface), (volumes, places) in losses.items():
-        wear_map, places = _facing_others(system, worn, joint, surface, places)
+        wear_map, places = _map_with_other_wear(system, worn, joint, surface, places)
         inputs = worn[joint][surface], read[joint][surface], pressures[joint, surface]
         result = wear_map.deposit_in_turn(*inputs, volumes, places)
         worn[joint][surface], read[joint][surface], pressures[joint, surface] = result
@@ -274,12 +274,12 @@ def pending_losses(
         state: shape (n,).
         wears: whether to update; None: always.
     """
-    entries = _of_wear(layout)
+    entries = _wear_entries(layout)
     reached = state[entries] if wears is None else jnp.where(wears, state[entries], since)
     return losses(layout, *(state.at[entries].set(each) for each in (since, reached))), reached
 
 
-def _of_wear(layout: Layout) -> slice:
+def _wear_entries(layout: Layout) -> slice:
     """The entries of a state that tell what contacts have lost; none where nothing wears."""
     if not layout.wear:
         return slice(0, 0)

@@ -189,7 +189,7 @@ def posed(
         if isinstance(joint, AbstractPermanentJoint):
             joint = joint.ideal
         if name in drives:
-            joint = _drive_of(name, joint)
+            joint = _driven_joint(name, joint)
         connections[name] = Connection(joint, connection.parent, connection.child)
     start, guess = (_free(mechanism.start_arguments[what], drives) for what in ("start", "guess"))
     loads = at_rest_under(mechanism.loads, drives)
@@ -240,7 +240,7 @@ def _free(values_of: dict[str, tuple], drives: tuple[str, ...]) -> dict[str, tup
     return {name: values for name, values in values_of.items() if name not in drives}
 
 
-def _drive_of(name: str, joint: Any) -> Any:
+def _driven_joint(name: str, joint: Any) -> Any:
     """The joint with its coordinate held."""
     if isinstance(joint, AbstractClearance):
         raise ValueError(
@@ -292,7 +292,7 @@ def standing(scene: Posed, q: Any, seats: dict[str, tuple], side: float = 1.0) -
     every = [row for row_set in rows for row in row_set.jacobian]
     if len(every) < count or (scene.rows is None and len(every) > count):
         raise Undetermined(f"the loops have {len(every)} rows for {count} free coordinates.")
-    residual, jacobian = scene.determining(_residuals(rows)), scene.determining(every)
+    residual, jacobian = scene.determining(_list_residuals(rows)), scene.determining(every)
     loaded, forces = acting(system, motions, places, rates, side)
     transposed = [[row.get(j, 0) for row in jacobian] for j in range(count)]
     multipliers = scene.among(len(every), solved(transposed, unheld(loaded, forces)))
@@ -327,7 +327,7 @@ def residuals_of(scene: Posed, q: Any, seats: dict[str, tuple]) -> list:
         q: coordinates of the tree, scalars.
         seats: offset and tilt of each journal in its bearing.
     """
-    return _residuals(loop_rows(*standing_motion(scene, q, seats)))
+    return _list_residuals(loop_rows(*standing_motion(scene, q, seats)))
 
 
 def loop_rows(system: System, motions: tuple[Motion, ...]) -> list[constraints.ConstraintRows]:
@@ -342,7 +342,7 @@ def open_loops(system: System, motions: tuple[Motion, ...]) -> dict[str, Any]:
     return {n: jnp.max(jnp.abs(sp.stack(rows)), initial=0.0) for n, rows in residuals.items()}
 
 
-def _residuals(rows: list[constraints.ConstraintRows]) -> list:
+def _list_residuals(rows: list[constraints.ConstraintRows]) -> list:
     return [value for rows_of in rows for value in rows_of.residuals]
 
 
@@ -605,7 +605,7 @@ def settle(scene: Posed, start: Spot, method: ByLoops) -> Spot:
     @solution.defjvp
     def tangents(primals, moved):
         spot = solution(*primals)
-        return spot, _tangent(primals[0], moved[0], rest, spot, method)
+        return spot, _implicit_tangent(primals[0], moved[0], rest, spot, method)
 
     return solution(arrays, start)
 
@@ -613,7 +613,7 @@ def settle(scene: Posed, start: Spot, method: ByLoops) -> Spot:
 _settled = eqx.filter_jit(settle)
 
 
-def _tangent(arrays: Any, moved: Any, rest: Any, spot: Spot, method: ByLoops) -> Spot:
+def _implicit_tangent(arrays: Any, moved: Any, rest: Any, spot: Spot, method: ByLoops) -> Spot:
     """How the spot moves with the numbers of the scene: implicit function theorem."""
     system = prepare(eqx.combine(arrays, rest).mechanism)
     count = system.topology.speed_count

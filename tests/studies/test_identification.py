@@ -2,6 +2,7 @@
 small machine with a hidden clearance.
 """
 
+import dataclasses
 import types
 
 import equinox as eqx
@@ -13,6 +14,7 @@ import jaxclear as jc
 from jaxclear.studies.identification import identify, laws, regression, result
 from jaxclear.studies.identification.result import ends_in_words, unknown_of
 from jaxclear.studies.identification.sample import check_identifiable, check_window, window_end
+from tests.plot.identified import identified
 
 LOSS = jc.contact.dissipation
 B = lambda rig: rig.connections["B"].joint
@@ -358,3 +360,14 @@ def test_unknowns_keep_their_order_where_jax_sorts_their_names():
     found = result.posterior_of(sorted_, values)
     assert found.names == own.names
     np.testing.assert_allclose(found.nominal(), [0.86, 2.2e-4], rtol=1e-6)
+
+
+def test_a_record_that_is_like_the_runs_is_said_to_be_so():
+    parts = jc.Dimension(0.0, tolerance=1e-3)
+    like = identified(jc.FunctionProblem(lambda a, b: a + b, dict.fromkeys("ab", parts)))
+    assert "The record is like the runs: 40 % of them lie as far off as it." in like.sentence()
+    assert not like.warned
+    unlike = dataclasses.replace(like, explained=1e-3)
+    assert "like the runs" not in unlike.sentence() and "No law" in unlike.warned[0]
+    few = dataclasses.replace(like, runs=64)
+    assert few.explains is None and "like the runs" not in few.sentence()

@@ -167,5 +167,8 @@ def test_shares_name_the_variables_that_lead():
         },
         "total index",
     )
-    assert told.startswith('"a" (0.60 ± 0.10) and "b" (0.40 ± 0.12) lead the variance of "force"')
-    assert told.endswith('"flat" has no variance that is shared out.')
+    assert told.startswith(
+        '"a" (total index 0.60 ± 0.10) and "b" (total index 0.40 ± 0.12) contribute most to '
+        'the variance of "force"'
+    )
+    assert told.endswith('"flat" does not vary with any variable.')

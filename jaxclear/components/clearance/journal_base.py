@@ -317,7 +317,7 @@ class PermanentRevolute(AbstractPermanentJoint):
             leans = [direction(end.offset, 2) for end in carrying]
             pairs = zip(carrying, leans, strict=True)
             carrying = tuple(end._replace(offset=self.gap.leaned(lean)) for end, lean in pairs)
-        along = self.gap.axial_seat(force[2], _slope(carrying))
+        along = self.gap.axial_seat(force[2], _slope_between_ends(carrying))
         if sp.is_zero(along):
             return carrying
         return tuple(end._replace(offset=(*end.offset[:2], along)) for end in carrying)
@@ -326,7 +326,7 @@ class PermanentRevolute(AbstractPermanentJoint):
         return mu / safe_sqrt(1 + mu * mu)
 
 
-def _slope(ends: tuple[CarryingEnd, ...]) -> tuple:
+def _slope_between_ends(ends: tuple[CarryingEnd, ...]) -> tuple:
     """Slope (dx/dz, dy/dz) of a journal that lies so at its ends."""
     first, last = ends[0], ends[-1]
     if len(ends) == 1:

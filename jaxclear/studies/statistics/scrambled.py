@@ -75,7 +75,9 @@ UNKNOWN = Statistic(np.nan, np.nan, np.nan)
 
 def student(groups: float) -> float:
     """Half the width of a 95 % interval in standard errors, which come from so many groups."""
-    return float(scipy.stats.t.ppf(0.5 + 0.5 * CONFIDENCE, groups - 1)) if groups > 1 else np.inf
+    return (
+        float(scipy.special.stdtrit(groups - 1, 0.5 + 0.5 * CONFIDENCE)) if groups > 1 else np.inf
+    )
 
 
 def half_width(parts: np.ndarray) -> float:
@@ -141,20 +143,24 @@ def half_widths(parts: np.ndarray, contributions: np.ndarray | None = None) -> t
         return half + abs(skewness) * spread * (2 * times**2 + 1) / (6 * count)
 
     chance = 6 * count * (count - 1) / ((count - 2) * (count + 1) * (count + 3))
-    skewness = float(scipy.stats.skew(parts, bias=False))
+    skewness = skewness_of(parts) * np.sqrt((count - 1) * count) / (count - 2)
     end = far(np.sqrt(max(skewness**2 - chance, 0.0)))
     below, above = (half, end) if skewness > 0 else (end, half)
     if contributions is None or len(contributions) < 3:
         return below, above
-    away = contributions - contributions.mean()
-    size = float(np.sqrt(np.mean(away**2)))
-    if size <= ROUNDING * abs(float(contributions.mean())):
+    if contributions.std() <= ROUNDING * abs(float(contributions.mean())):
         return below, above
-    skewness = float(np.mean((away / size) ** 3)) * np.sqrt(count / len(contributions))
+    skewness = skewness_of(contributions) * np.sqrt(count / len(contributions))
     z = float(scipy.special.ndtri(0.5 + 0.5 * CONFIDENCE))
     # 11/72: 5/18 by the square of skewness, less 1/8 by a gamma distribution's kurtosis.
     end = far(skewness) + 11 / 72 * skewness**2 * z * (z**2 + 2) * spread / count**1.5
     return (below, max(above, end)) if skewness > 0 else (max(below, end), above)
+
+
+def skewness_of(numbers: np.ndarray) -> float:
+    """Skewness [1] of numbers, of which not all are the same."""
+    away = numbers - numbers.mean()
+    return float(np.mean(away**2 * away) / np.mean(away**2) ** 1.5)
 
 
 def contributions_to_moments(values: np.ndarray, deviations: float) -> np.ndarray:
@@ -259,8 +265,8 @@ def share(inside: np.ndarray, group: np.ndarray) -> Statistic:
     groups = len(np.unique(group))
     if groups < 2 or min(k, count - k) < groups:
         tail = 0.5 * (1 - CONFIDENCE)
-        low = scipy.stats.beta.ppf(tail, k, count - k + 1) if k else 0.0
-        high = scipy.stats.beta.ppf(1 - tail, k + 1, count - k) if k < count else 1.0
+        low = scipy.special.betaincinv(k, count - k + 1, tail) if k else 0.0
+        high = scipy.special.betaincinv(k + 1, count - k, 1 - tail) if k < count else 1.0
         return Statistic(value, float(low), float(high))
     statistic = jackknifed(np.mean, inside.astype(float), group)
     return Statistic(value, max(statistic.low, 0.0), min(statistic.high, 1.0))
