@@ -89,15 +89,16 @@ def not_resolved(size: int, contacts: int, damped: bool) -> Resolved:
 def resolved_steps(formulation: CompliantContact, rest: Any, plain: Callable) -> Callable:
     """A step with the derivative of the motion beside it.
 
-    It is a function of (arrays, clock, state, last, peaks, resolved); `arrays` are those of the
-    model and all others, `clock` is start and length [s].
+    It is a function of (arrays, clock, state, last, peaks); `arrays` are those of the model and all
+    others, `clock` begins with start and length [s].
 
     Args:
         formulation: of the run.
         rest: what is left of the model without its arrays.
-        plain: `plain(arrays, clock, y, last, peaks)`: the state at the end, what the step hands
-            on, and
-            the peaks until then.
+        plain: `plain(arrays, clock, y, last, peaks)`: length [s] and state at the end, what the
+            step
+                    hands on, (numbers, what is known of the motion beside the run), and the peaks
+            until then.
     """
     motion = motion_of(formulation, rest)
 
