@@ -4,8 +4,7 @@ The artificial variable z0 relaxes every row alike, w = M z + q + e z0, and is d
 the ratio test are broken as if q were q + (t, t^2, ...) for infinitesimal t, so degenerate problems
 end too. The tableau holds x_B + T x_N = right for basic x_B and the n + 1 others x_N. Sources:
 Lemke 1965, Manag. Sci. 11, 681, doi:10.1287/mnsc.11.7.681; Cottle, Pang & Stone 2009,
-doi:10.1137/1.9780898719000, sections 4.4 and 4.9.
-"""
+doi:10.1137/1.9780898719000, sections 4.4 and 4.9."""
 
 from typing import NamedTuple
 
@@ -41,16 +40,14 @@ RUNNING = -1
 
 def scaled_residual(problem: Scaled, z: Float[Array, " n"]) -> Float[Array, ""]:
     """Natural residual of a scaled problem relative to its data or the size of its solution [1];
-    infinite where z is not finite.
-    """
+    infinite where z is not finite."""
     w = problem.matrix @ z + problem.offset
     return jnp.where(jnp.all(jnp.isfinite(z + w)), natural_residual(z, w) / size_of(z), jnp.inf)
 
 
 class Tableau(NamedTuple):
     """x_B + T x_N = right, the last column of `entries` [1]; variables are numbered w_i: i, z_i: n
-    + i, z0: 2 n.
-    """
+    + i, z0: 2 n."""
 
     entries: Float[Array, "n n+2"]
     basic: Int[Array, " n"]
@@ -68,8 +65,7 @@ class Lemke(AbstractSolver):
     number of pivots is of the order of n, but grows as 2^n in contrived cases. A wrong turn by
     rounding ends in an outcome, never in a wrong z. Derivatives are those of the final basis: at
     degenerate points one-sided, towards the q for which that basis stays feasible (q + (t, t^2,
-    ...), t > 0, unless z0 left in a tie). `most_pivots=None` allows 100 + 20 n.
-    """
+    ...), t > 0, unless z0 left in a tie). `most_pivots=None` allows 100 + 20 n."""
 
     most_pivots: int | None = count(None, "most pivots")
 
@@ -110,8 +106,7 @@ def _keep_active_set(
     z_i = 0 elsewhere): M_AA dz_A = -(dM z + dq)_A.
 
     Exact where z + w > 0. At a corner z_i = w_i = 0 it is the derivative of the piece that `active`
-    names.
-    """
+    names."""
     return z
 
 
@@ -200,8 +195,7 @@ def _leaving(tableau: Tableau):
 def _exchange(tableau: Tableau, row) -> Tableau:
     """Pivot on (row, entering); next enters the complement of what left, unless that was z0.
 
-    Written with masks: scattered updates are several times slower in a batch.
-    """
+    Written with masks: scattered updates are several times slower in a batch."""
     n = tableau.basic.shape[0]
     in_row, in_column = jnp.arange(n) == row, jnp.arange(n + 2) == tableau.entering
     left, entered = tableau.basic[row], tableau.others[tableau.entering]
