@@ -1,6 +1,5 @@
 """The life of a bearing into which a pin is pressed one way: the volume that it loses in a turn
-stays, its scar widens, so its depth slows. By the area between two circles.
-"""
+stays, its scar widens, so its depth slows. By the area between two circles."""
 
 import numpy as np
 import pytest
@@ -42,9 +41,8 @@ def test_a_life_knows_what_the_clearance_does_to_it(life):
 
 @pytest.mark.parametrize("clearance", [100e-6, 50e-6, 25e-6])
 def test_a_tight_bushing_costs_no_more_cycles_than_a_wide_one(clearance):
-    """Down to five times the clearance: levelling between cells is stiff, and was followed by
-    thousands of cycles. A life in fifty jumps, by a thousandth off itself, is not further off than
-    is told."""
+    """Down to five times the clearance, where levelling between cells is stiff. A life in fifty
+    jumps, by a thousandth off itself, is not further off than is told."""
     depth, asked = 127e-6, scar(clearance, 36)
     turns = crescent(depth, clearance) / lost(clearance)
     life = jc.wear_life(asked, cycles=turns)
@@ -73,8 +71,7 @@ def test_a_life_whose_scar_is_hardly_wider_than_a_cell_says_so_as_a_run_does(cel
 
 @pytest.mark.slow
 def test_a_verified_life_states_the_error_of_its_cells():
-    """18 cells of a scar of 10; the closed form is the area between two circles. Steps alone would
-    say a tenth of it."""
+    """18 cells of a scar of 10; the closed form is the area between two circles."""
     depth = 127e-6
     turns = crescent(depth, CLEARANCE) / lost(CLEARANCE)
     life = jc.wear_life(scar(CLEARANCE, 18), cycles=turns, verify=True)

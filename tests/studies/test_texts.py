@@ -73,15 +73,9 @@ def asked(function):
     return jc.FunctionProblem(lambda a, b: function({"a": a, "b": b}), variables)
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", [*NAMES, "by_nested"])
 def test_what_a_function_uses_belongs_to_it(name):
-    one, same, other = (written(factor)[name] for factor in (2.0, 2.0, 3.0))
-    assert texts_of(one) == texts_of(same)
-    assert texts_of(one) != texts_of(other)
-
-
-def test_functions_within_a_function_belong_to_it():
-    one, same, other = (written(nested=nested)["by_nested"] for nested in (2.0, 2.0, 3.0))
+    one, same, other = (written(factor, factor)[name] for factor in (2.0, 2.0, 3.0))
     assert texts_of(one) == texts_of(same) != texts_of(other)
 
 
@@ -120,11 +114,9 @@ f = Scaled(lambda x: x)""",
     "a thing of the class": """
 class Law:
     def __init__(self, k): self.k = k
-
 class L:
     law = Law(EDIT)
     def __call__(self, x): return self.law.k * x
-
 f = L()""",
     "a number": "class L:\n    def __init__(self): self.k = EDIT\nf = L()",
     "a bound method": """
@@ -255,22 +247,8 @@ def test_things_of_one_name_in_two_modules_are_two():
     assert told("2.0") == told("2.0") != told("3.0")
 
 
-def test_what_a_class_does_belongs_to_its_objects():
-    def law(power):
-        class Own(eqx.Module):
-            stiffness: float
-
-            def force(self, x):
-                return self.stiffness * x**power
-
-        return Own(1.0)
-
-    assert texts_of(law(2)) == texts_of(law(2)) != texts_of(law(3))
-
-
 def test_what_a_class_holds_beside_its_functions_belongs_to_it():
-    """Settings that a function reads from a class; not what a field has by default, which each
-    object tells."""
+    """Not what a field has by default, which each object tells."""
 
     class Settings:
         factor = 2.0
