@@ -79,6 +79,7 @@ finally:
 
 if TYPE_CHECKING:
     from jaxclear.lazy_names import *
+    from jaxclear.plot.live import view
 
 __version__ = installed("jaxclear")
 
@@ -187,6 +188,7 @@ __all__ = [
     "sweep",
     "tolerance",
     "vector",
+    "view",
     "wear",
     "wear_life",
     "wear_life_derivatives",
@@ -222,9 +224,11 @@ if not TYPE_CHECKING:
     def __getattr__(name: str) -> Any:
         if name not in _LATER:
             return _refused(name)
+        if name == "view":  # which loads matplotlib, as no other name does
+            return importlib.import_module("jaxclear.plot.live").view
         later = importlib.import_module("jaxclear.lazy_names")
-        globals().update((one, getattr(later, one)) for one in _LATER)
-        _LATER.clear()
+        globals().update((one, getattr(later, one)) for one in _LATER - {"view"})
+        _LATER.intersection_update({"view"})
         _named(*_MODULES_LATER)
         remember()
         return globals()[name]

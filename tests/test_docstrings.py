@@ -138,7 +138,7 @@ def numbers_with_descriptions():
 
 
 def public_classes():
-    offered = (vars(module)[n] for module in public_modules().values() for n in module.__all__)
+    offered = (getattr(module, n) for module in public_modules().values() for n in module.__all__)
     return [thing for thing in offered if inspect.isclass(thing)]
 
 

@@ -97,25 +97,25 @@ def study(folder: Path, duration: float = 4.0) -> None:
         "periodic": jc.pointing_error(periodic["spatial"], TIP, BASE),
         "step": jc.pointing_error(stepped[COULOMB], TIP, BASE),
     }
-    tables = _tables(periodic, stepped, errors)
+    tables = _make_tables(periodic, stepped, errors)
     files.write_tables(**tables)
     for name in ("motion", "stick_slip"):
         print(f"\n{tables[name]}", flush=True)
     for drive, error in errors.items():
         print(f"\n{drive} drive: {error.sentence()}")
-    figures = _figures(periodic, stepped, errors)
+    figures = _draw_figures(periodic, stepped, errors)
     files.write_figures(**figures)
     print(f"\n{files.sentence()}")
 
 
-def _tables(periodic: dict, stepped: dict, errors: dict) -> dict[str, pandas.DataFrame]:
+def _make_tables(periodic: dict, stepped: dict, errors: dict) -> dict[str, pandas.DataFrame]:
     tables = {"motion": motion_table(periodic), "stick_slip": friction_table(stepped)}
     tables |= {f"pointing_{drive}": error.budget().reset_index() for drive, error in errors.items()}
     parts = [stepped[COULOMB].switchings(name).assign(joint=name) for name in JOINTS]
     return tables | {"switchings_step": pandas.concat(parts, ignore_index=True)}
 
 
-def _figures(periodic: dict, stepped: dict, errors: dict) -> dict[str, Any]:
+def _draw_figures(periodic: dict, stepped: dict, errors: dict) -> dict[str, Any]:
     spatial, error = periodic["spatial"], errors["periodic"]
     figures = {
         "motion": motion_figure(periodic),
@@ -164,8 +164,13 @@ def motion_figure(runs: Mapping[str, Trajectory]) -> Figure:
 def stick_slip_figure(
     runs: Mapping[str, Trajectory], joint: str, radius: float, close: tuple[float, float]
 ) -> Figure:
-    """Slip speed, acceleration and friction of a joint by friction law; right, the same over the
-    interval `close` [s].
+    """Slip speed, acceleration and friction of a joint, by friction law.
+
+    Args:
+        runs: by friction law; the first marks where the joint sticks.
+        joint: name.
+        radius: of its bearing [m].
+        close: interval of the close-up on the right [s].
     """
     figure = Figure(figsize=(11.0, 8.5), layout="constrained")
     axes = figure.subplots(3, 2, sharex="col")
@@ -183,9 +188,9 @@ def stick_slip_figure(
     sticks = np.abs(speed) * radius < STUCK
     sticks[0] = False
     for axis in axes.flat:
-        _shade(axis, time, sticks)
+        _shade_where(axis, time, sticks)
     for axis in axes[:, 1]:
-        _fit(axis, (time > close[0]) & (time < close[1]))
+        _fit_limits(axis, (time > close[0]) & (time < close[1]))
         axis.set_xlim(*close)
         axis.axhline(0.0, color="0.6", lw=0.6, zorder=1)
     for row, text in enumerate(("slip speed [mm/s]", "acceleration [rad/s²]", "friction [N]")):
@@ -199,7 +204,7 @@ def stick_slip_figure(
     return warned(figure, runs)
 
 
-def _shade(axis, time, mask):
+def _shade_where(axis, time, mask):
     """Grey where `held`, over the whole height of the axis."""
     low, high = axis.get_ylim()
     across = axis.get_xaxis_transform()
@@ -207,7 +212,7 @@ def _shade(axis, time, mask):
     axis.set_ylim(low, high)
 
 
-def _fit(axis, inside):
+def _fit_limits(axis, inside):
     """Limits that show the first two curves where time is `inside`."""
     values = np.concatenate(
         [line.get_ydata()[inside[-len(line.get_ydata()) :]] for line in axis.lines[:2]]
@@ -262,8 +267,14 @@ def tip_paths(run: Trajectory, error: PointingError) -> tuple[np.ndarray, np.nda
 def tip_path_figure(
     run: Trajectory, error: PointingError, nominal: Trajectory, scale: float
 ) -> Figure:
-    """Path of the tip in space, seen from the satellite: of the ideal mechanism, of this run with
-    ideal joints, and as its journals lean, drawn `scale` times as far from it."""
+    """Path of the tip in space, seen from the satellite.
+
+    Args:
+        run: with clearance.
+        error: of its tip.
+        nominal: run of the ideal mechanism.
+        scale: by which the departure of the run from ideal joints is drawn larger [1].
+    """
     figure = Figure(figsize=(9.0, 7.5), layout="constrained")
     axis = figure.add_subplot(projection="3d")
     base = nominal.body(BASE)

@@ -276,8 +276,13 @@ def choices_figure(table: pandas.DataFrame, chosen: str) -> Figure:
 
 
 def study(folder: Path, samples: int = 128, show: bool = True) -> None:
-    """Runs everything and writes it to `folder`; `samples` of the Monte Carlo, `show`: progress
-    bars."""
+    """Runs the study of the arm and writes its tables and figures.
+
+    Args:
+        folder: for the files.
+        samples: of the Monte Carlo.
+        show: whether progress bars are shown.
+    """
     files = StudyFolder(folder)
     commanded = simulated(arm(driven=True), verify=False)
     runs = {

@@ -109,8 +109,14 @@ QUESTIONS = {"antenna": antenna_question, "four-bar": four_bar_question}
 
 
 def study(scene: str, folder: Path, accuracy: float = 5e-3, show: bool = True) -> None:
-    """Designs a scene and writes what it finds to `folder`; `accuracy` [1] of its limits, `show`:
-    progress bars."""
+    """Designs the tolerances of a scene and writes tables and figures.
+
+    Args:
+        scene: one of `QUESTIONS`.
+        folder: for the files.
+        accuracy: share of its bound by which a limit may be exceeded [1].
+        show: whether progress bars are shown.
+    """
     files = StudyFolder(folder, f"{scene}_")
     question = QUESTIONS[scene]()
     options = {"settings": jc.DesignSettings(allowed_excess=accuracy), "progress_bar": show}

@@ -38,9 +38,17 @@ def drawing_yield(
     folder: Path | None = None,
     show: bool = True,
 ) -> None:
-    """Prints the drawing of a scene file, the yield of its responses within limits at rest and in
-    motion, the share of each line of the drawing, and the worst case; tables and pictures go to
-    `folder` (by default named after the scene)."""
+    """Prints the drawing of a scene file, yield within limits, shares of its lines and worst case.
+
+    The yield is that at rest and in motion; tables and figures go to the folder.
+
+    Args:
+        scene: path of the file.
+        limit: for each response the text of its limit.
+        samples: of the Monte Carlo in motion.
+        folder: for the files; None: named after the scene.
+        show: whether progress bars are shown.
+    """
     with mistakes_told():
         content = read(scene)
         drawn, limits = content.drawn(), dict(map(limit_of, limit))

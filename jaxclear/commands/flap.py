@@ -32,7 +32,13 @@ LASTING, RINGING = 20e-3, 5e-3
 
 
 def simulated(rig: jc.Mechanism, duration: float, show: bool = False) -> Any:
-    """A run of the mechanism, saved densely enough to tell impacts."""
+    """A run of the mechanism, saved densely enough to resolve impacts.
+
+    Args:
+        rig: the mechanism.
+        duration: of the run [s].
+        show: whether a progress bar is shown.
+    """
     return jc.simulate(
         rig,
         duration,
@@ -111,8 +117,13 @@ def forces_figure(run: Any) -> Figure:
 
 
 def shaft_figure(run: Any, ideal: Any, lasting: pandas.DataFrame) -> Figure:
-    """Angular velocity and acceleration of the shaft beside those of ideal joints; shaded where all
-    joints stay in contact."""
+    """Angular velocity and acceleration of the shaft beside those with ideal joints.
+
+    Args:
+        run: with clearance.
+        ideal: with ideal joints.
+        lasting: intervals in which all joints stay in contact, which are shaded.
+    """
     figure, axes = canvas(2, 1, (8.0, 6.0), sharex=True)
     for starts, ends in zip(lasting["from [s]"], lasting["to [s]"], strict=True):
         for axis in axes:
@@ -151,7 +162,13 @@ def ratio_figure(table: pandas.DataFrame) -> Figure:
 
 
 def study(folder: Path, duration: float = 0.5, show: bool = True) -> None:
-    """Runs everything and writes it to `folder`; `duration` [s], `show`: progress bars."""
+    """Runs the study of the flap and writes its tables and figures.
+
+    Args:
+        folder: for the files.
+        duration: of the runs [s].
+        show: whether progress bars are shown.
+    """
     files = StudyFolder(folder)
     clear = simulated(flap(), duration, show)
     ideal = jc.simulate(flap("ideal"), duration, save=len(clear.time))

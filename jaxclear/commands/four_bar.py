@@ -57,7 +57,13 @@ def paper_runs(duration: float, saves: int) -> dict[float, Any]:
 
 
 def problem(duration: float, saves: int, clearance: float = LARGEST) -> jc.Problem:
-    """Peak worn depth and follower error over clearance and link lengths."""
+    """Peak worn depth and follower error over clearance and link lengths.
+
+    Args:
+        duration: of a run [s].
+        saves: number of saving times.
+        clearance: nominal radial clearance [m].
+    """
     ideal = jc.simulate(four_bar("ideal"), duration, save=saves)
     report_warnings({"the ideal mechanism": ideal})
     reference = ideal.body("follower").com
@@ -115,16 +121,22 @@ def _load_and_wear(run: Any) -> dict[str, float]:
 def study(
     folder: Path, samples: int = 256, duration: float = 5.0, turns: float = 2.0, show: bool = True
 ) -> None:
-    """Runs everything and writes it to `folder`: runs of `duration` [s], a Monte Carlo over `turns`
-    of the crank; `show`: progress bars.
+    """Runs the study of the four-bar and writes its tables and figures.
+
+    Args:
+        folder: for the files.
+        samples: of the Monte Carlo.
+        duration: of the paper's runs [s].
+        turns: of the crank in each sample.
+        show: whether progress bars are shown.
     """
     files = StudyFolder(folder)
     runs = paper_runs(duration, round(duration * SAVES_PER_SECOND) + 1)
     table = run_table(runs)
     files.write_tables(runs=table)
-    _show(table.drop(columns="result"))
+    _print_table(table.drop(columns="result"))
     question = problem(TURN * turns, round(SAVES_PER_TURN * turns) + 1)
-    sample = _monte_carlo(question, samples, files, show)
+    sample = _run_monte_carlo(question, samples, files, show)
     print("derivatives with respect to clearance", flush=True)
     pairs = max(16, samples // 2)
     answers = jc.sensitivity(
@@ -138,17 +150,17 @@ def study(
     print(f"\n{files.sentence()}")
 
 
-def _show(table: pandas.DataFrame) -> None:
+def _print_table(table: pandas.DataFrame) -> None:
     print(f"\n{table}\n", flush=True)
 
 
-def _monte_carlo(question: jc.Problem, samples: int, files: StudyFolder, show: bool) -> Any:
+def _run_monte_carlo(question: jc.Problem, samples: int, files: StudyFolder, show: bool) -> Any:
     turns = question.duration / TURN
     print(f"Monte Carlo, {samples} samples over {turns:g} turn(s) of the crank", flush=True)
     sample = jc.monte_carlo(question, samples, progress_bar=show)
     files.write_tables(monte_carlo=sample.table(), monte_carlo_summary=sample.summary())
     # The files hold every error; the screen that of the mean.
-    _show(sample.summary().drop(columns=[f"{name} error" for name in UNSHOWN]))
+    _print_table(sample.summary().drop(columns=[f"{name} error" for name in UNSHOWN]))
     report_samples(sample)
     return sample
 

@@ -42,7 +42,7 @@ def impacts(compliant: Any, instants: np.ndarray) -> pandas.DataFrame:
     return table
 
 
-def _worn(touching: Any) -> dict[str, Figure]:
+def _draw_wear(touching: Any) -> dict[str, Figure]:
     """Figures of the surfaces that wear, and what each loses, said."""
     figures = {}
     for surface in touching.worn.get("P", {}):
@@ -56,9 +56,13 @@ def _worn(touching: Any) -> dict[str, Figure]:
 def study(
     folder: Path, clearance: float = SMALL_CLEARANCE, wear: bool = False, show: bool = True
 ) -> None:
-    """Runs one turn of the crank on both formulations and writes figures and tables to `folder`;
-    `clearance` [m] of the compliant run, `wear`: both parts of the other wear, `show`: progress
-    bars.
+    """Runs one turn of the crank with permanent and compliant contact; writes tables and figures.
+
+    Args:
+        folder: for the files.
+        clearance: of the compliant run [m].
+        wear: whether both parts wear in the run with permanent contact.
+        show: whether progress bars are shown.
     """
     files = StudyFolder(folder)
     touching = jc.simulate(
@@ -94,7 +98,7 @@ def study(
         "switchings": switching_window(touching, compliant, instants),
         "reactions": reactions(touching, compliant, instants),
     }
-    figures |= _worn(touching)
+    figures |= _draw_wear(touching)
     files.write_figures(**figures)
     print(f"\n{files.sentence()}")
 
@@ -111,11 +115,11 @@ COLOURS = ("#bdbdbd", "#4c9f70", "#d1495b", "C0", "C1")
 HALF_WINDOW = 0.02
 
 
-def _degrees(run: Any) -> np.ndarray:
+def _crank_angle_degrees(run: Any) -> np.ndarray:
     return np.degrees(CRANK_SPEED * np.asarray(run.time))
 
 
-def _mark(axes: Any, instants: np.ndarray) -> None:
+def _mark_switchings(axes: Any, instants: np.ndarray) -> None:
     """Vertical lines at the switchings."""
     for axis in np.ravel(axes):
         for i, angle in enumerate(np.degrees(CRANK_SPEED * instants)):
@@ -134,7 +138,7 @@ def corner_forces(run: Any, instants: np.ndarray) -> Figure:
     """Forces of the four corners and friction over the crank angle, and how the joint carries."""
     figure = Figure(figsize=(8.5, 7.0), layout="constrained")
     axes = figure.subplots(3, 1, sharex=True, height_ratios=(5, 3, 0.6))
-    contact, angle = run.contact("P"), _degrees(run)
+    contact, angle = run.contact("P"), _crank_angle_degrees(run)
     # Means over the saving intervals belong to their middles.
     middle = 0.5 * (angle[1:] + angle[:-1])
     forces, total = np.asarray(contact.normal_force)[1:], np.asarray(contact.force)[1:]
@@ -143,16 +147,16 @@ def corner_forces(run: Any, instants: np.ndarray) -> Figure:
     axes[1].plot(middle, total[:, 2], color="C3", lw=1.2)
     axes[1].axhline(0.0, color="k", lw=0.5)
     axes[1].set_ylabel("friction on the\nslider, outwards [N]")
-    _mark(axes[:2], instants)
+    _mark_switchings(axes[:2], instants)
     axes[0].legend(fontsize=8, loc="upper right")
     codes = np.asarray(run.situations("P"))[1:]
     upper = total[:, 0] < 0
-    _strip(axes[2], angle, np.where((codes == LINE) & upper, LINE + 1, codes))
+    _draw_band(axes[2], angle, np.where((codes == LINE) & upper, LINE + 1, codes))
     axes[0].set_title("Slider in its guide: which corners carry")
     return warned(figure, {"": run})
 
 
-def _strip(axis: Any, edges: np.ndarray, codes: np.ndarray) -> None:
+def _draw_band(axis: Any, edges: np.ndarray, codes: np.ndarray) -> None:
     """A band coloured by contact situation; short situations are widened to be seen."""
     changes = np.flatnonzero(np.diff(codes)) + 1
     least = (edges[-1] - edges[0]) / 400
@@ -173,7 +177,13 @@ def _strip(axis: Any, edges: np.ndarray, codes: np.ndarray) -> None:
 
 
 def switching_window(run: Any, compliant: Any, instants: np.ndarray) -> Figure:
-    """Corner forces around two switchings, in permanent contact and with a small clearance."""
+    """Corner forces around two switchings, in permanent contact and with a small clearance.
+
+    Args:
+        run: with permanent contact.
+        compliant: with a small clearance.
+        instants: of the switchings [s]; the first and last are shown.
+    """
     figure = Figure(figsize=(9.5, 5.5), layout="constrained")
     axes = figure.subplots(2, 2, sharex="col")
     gap = 1e6 * float(compliant.mechanism.connections["P"].joint.clearance)
@@ -195,12 +205,16 @@ def switching_window(run: Any, compliant: Any, instants: np.ndarray) -> Figure:
 
 
 def reactions(run: Any, compliant: Any, instants: np.ndarray) -> Figure:
-    """Size of the reactions of the crank's two joints, beside the compliant run, and the
-    difference.
+    """Reactions of the crank's two joints, beside the compliant run, and the difference.
+
+    Args:
+        run: with permanent contact.
+        compliant: with a small clearance.
+        instants: of switchings [s], which are marked.
     """
     figure = Figure(figsize=(8.5, 7.5), layout="constrained")
     axes = figure.subplots(3, 1, sharex=True)
-    angle, other_angle = _degrees(run), _degrees(compliant)
+    angle, other_angle = _crank_angle_degrees(run), _crank_angle_degrees(compliant)
     for axis, (joint, name) in zip(axes[:2], JOINTS.items(), strict=True):
         force, other = (np.asarray(one.reaction(joint).force) for one in (run, compliant))
         force, other = np.linalg.norm(force, axis=1), np.linalg.norm(other, axis=1)
@@ -217,7 +231,7 @@ def reactions(run: Any, compliant: Any, instants: np.ndarray) -> Figure:
     axes[2].set_xlabel("crank angle [°]")
     axes[2].set_xlim(0, 360)
     axes[2].set_xticks(np.arange(0, 361, 45))
-    _mark(axes, instants)
+    _mark_switchings(axes, instants)
     axes[0].legend(fontsize=8, loc="upper right")
     axes[2].legend(fontsize=8, loc="upper right")
     axes[0].set_title("Reactions of the crank's joints over one turn")

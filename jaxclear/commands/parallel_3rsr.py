@@ -35,7 +35,14 @@ AXES = "xyz"
 
 
 def simulated(rig: jc.Mechanism, duration: float, state: Any = None, show: bool = False) -> Any:
-    """A run with as many saving times as all others."""
+    """A run with as many saving times as all others.
+
+    Args:
+        rig: the mechanism.
+        duration: of the run [s].
+        state: in which it begins; None: the mechanism's own start.
+        show: whether a progress bar is shown.
+    """
     return jc.simulate(rig, duration, save=SAVES + 1, state=state, progress_bar=show)
 
 
@@ -160,7 +167,13 @@ def volume_figure(table: pandas.DataFrame) -> Figure:
 
 
 def study(folder: Path, cycles: int = 40, show: bool = True) -> None:
-    """Runs everything and writes it to `folder`; `cycles` of wear, `show`: progress bars."""
+    """Runs the study of the parallel mechanism and writes its tables and figures.
+
+    Args:
+        folder: for the files.
+        cycles: of the run from whose wear the socket is extrapolated.
+        show: whether progress bars are shown.
+    """
     files = StudyFolder(folder)
     rigs = {name: parallel_3rsr("one", period=period) for name, period in REGIMES.items()}
     clear = {name: simulated(rig, DENSE * REGIMES[name], show=show) for name, rig in rigs.items()}

@@ -100,15 +100,15 @@ STATISTICS = ("mean", "standard deviation", "5 %", "median", "95 %")
 def campaign_page(folder: Path) -> Page:
     """The page of the campaign in a folder."""
     study = jc.open_campaign(folder)
-    sections = [_results(study)] if study.finished else []
+    sections = [_result_items(study)] if study.finished else []
     return Page(
         f"Monte Carlo of {folder.resolve().name}",
         study.sentence() if study.finished else "No sample is finished yet.",
-        [*sections, _endings(study), _variables(study), _what_was_run(study)],
+        [*sections, _ending_sentences(study), _variable_items(study), _provenance_items(study)],
     )
 
 
-def _results(study: Any) -> Section:
+def _result_items(study: Any) -> Section:
     """Statistics, histograms, budget."""
     items: list[Item] = []
     if not study.is_complete:
@@ -121,11 +121,11 @@ def _results(study: Any) -> Section:
         study.finished - len(study.failed) >= LEAST_SAMPLES
         and len(study.problem.variable_names) > 1
     ):
-        items += _contributions(study)
+        items += _budget_items(study)
     return Section("Results", items)
 
 
-def _contributions(study: Any) -> list[Item]:
+def _budget_items(study: Any) -> list[Item]:
     """The budget of the responses that have a variance, and a sentence for each of the others."""
     names = study.problem.response_names
     endless = [name for name in names if np.isinf(study.sample.good(name)[0]).any()]
@@ -146,7 +146,7 @@ def _statistics(study: Any) -> pandas.DataFrame:
     return study.summary()[["response", "unit", "samples", "failed", "warned", *columns]]
 
 
-def _endings(study: Any) -> Section:
+def _ending_sentences(study: Any) -> Section:
     """Sentences of failures and warnings, each with how often it was said."""
     if not study.finished:
         return Section("Failures and warnings", [Item("text", "None yet.")])
@@ -179,7 +179,7 @@ def _counted(entries: list[tuple[int, str]]) -> pandas.DataFrame:
     return pandas.DataFrame(rows)
 
 
-def _variables(study: Any) -> Section:
+def _variable_items(study: Any) -> Section:
     """What varied."""
     problem, rows = study.problem, []
     values = study.values if study.finished else np.zeros((0, len(problem.names)))
@@ -194,7 +194,7 @@ def _variables(study: Any) -> Section:
     return Section("What varied", [table(pandas.DataFrame(rows))])
 
 
-def _what_was_run(study: Any) -> Section:
+def _provenance_items(study: Any) -> Section:
     """The scene, the plan, the versions."""
     plan = pandas.DataFrame([study.plan._asdict() | {"finished": study.finished}])
     items = [table(plan, "Plan"), table(pandas.DataFrame(study.versions), "Computed by")]

@@ -32,22 +32,36 @@ MOST_LINES = 8
 
 
 def keep(scene: jc.Scene, run: jc.Trajectory, folder: Path, name: str) -> pandas.DataFrame:
-    """Writes a run to a folder; its table of joints."""
+    """Writes a run to a folder; returns its table of joints.
+
+    Args:
+        scene: that was run.
+        run: its trajectory.
+        folder: created if it does not exist.
+        name: of the scene, for the title.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     table = joint_table(run)
     if len(table):
         table.to_csv(folder / JOINTS, index=False)
-    for title, figure in _figures(run).items():
+    for title, figure in _draw_figures(run).items():
         figure.savefig(folder / f"{title}.png", dpi=DOTS_PER_INCH)
     data = run.to_dataset(flat=True)
     data.to_netcdf(folder / DATA, engine="scipy")
     texts = {"result": run.result, "warnings": list(run.warnings), "checks": str(run)}
-    _tell(scene, folder, {"title": f"Run of {name}", **texts})
+    _write_description(scene, folder, {"title": f"Run of {name}", **texts})
     return table
 
 
 def keep_positions(scene: jc.Scene, positions: Any, folder: Path, name: str) -> pandas.DataFrame:
-    """Writes where a mechanism stands to a folder; a table of it, a row for each position."""
+    """Writes positions to a folder; returns a table with a row for each.
+
+    Args:
+        scene: with the positions of its drives.
+        positions: where the mechanism stands.
+        folder: created if it does not exist.
+        name: of the scene, for the title.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     data = positions.to_dataset()
     columns = {}
@@ -65,11 +79,11 @@ def keep_positions(scene: jc.Scene, positions: Any, folder: Path, name: str) -> 
     data.to_netcdf(folder / STANDING, engine="scipy")
     sentence = f"The mechanism stands at {len(table)} positions."
     texts = {"result": sentence, "warnings": [], "checks": sentence}
-    _tell(scene, folder, {"title": f"Positions of {name}", **texts})
+    _write_description(scene, folder, {"title": f"Positions of {name}", **texts})
     return table
 
 
-def _tell(scene: jc.Scene, folder: Path, texts: dict[str, Any]) -> None:
+def _write_description(scene: jc.Scene, folder: Path, texts: dict[str, Any]) -> None:
     """Keeps the scene, how it ended, and by which versions."""
     jc.write_scene(scene, folder / SCENE)
     text = json.dumps(texts | {"versions": library_versions()}, indent=1)
@@ -97,10 +111,10 @@ def joint_table(run: jc.Trajectory) -> pandas.DataFrame:
     return as_table(rows)
 
 
-def _figures(run: jc.Trajectory) -> dict[str, Figure]:
+def _draw_figures(run: jc.Trajectory) -> dict[str, Figure]:
     """Figures by the names of their files."""
     joints = run.formulation.contact_joints(run.mechanism)
-    figures = {"motion": _motion(run)}
+    figures = {"motion": _draw_motion(run)}
     if joints:
         figures["contact_forces"] = _forces(run, joints)
         figures["modes"] = plot.modes(run)
@@ -110,7 +124,7 @@ def _figures(run: jc.Trajectory) -> dict[str, Figure]:
     return figures
 
 
-def _motion(run: jc.Trajectory) -> Figure:
+def _draw_motion(run: jc.Trajectory) -> Figure:
     """Places of the bodies' centres of mass over time, an axis for each direction that they move
     in."""
     places = {
@@ -182,9 +196,16 @@ def run(
     saves: int | None = None,
     show: bool = True,
 ) -> None:
-    """Runs a scene once, prints how it went, and writes data set, figures and tables to `folder`
-    (by default named after the file); of a scene over positions where it stands. `duration` [s] and
-    `saves` instead of the file's own.
+    """Runs a scene once, prints how it went, and writes data set, figures and tables.
+
+    A scene over positions is written where it stands.
+
+    Args:
+        scene: path of the file.
+        folder: for the files; None: named after the scene.
+        duration: [s]; None: the file's.
+        saves: number of saving times; None: the file's.
+        show: whether a progress bar is shown.
     """
     folder = Path(f"{scene.stem}_run") if folder is None else folder
     with mistakes_told():
@@ -217,8 +238,19 @@ def fmu(
     interval: float = 1e-3,
     target: str | None = None,
 ) -> None:
-    """Exports a scene as an FMU, `folder` its file (by default named after the scene); what it
-    gives are the scene's responses, or else coordinates and speeds of its joints."""
+    """Exports a scene as an FMU, whose outputs are the scene's responses.
+
+    Without responses, outputs are coordinates and speeds of its joints.
+
+    Args:
+        scene: path of the file.
+        folder: the FMU's file; None: named after the scene.
+        input, parameter: texts NAME=NUMBER: names of the FMU's inputs and parameters, and paths.
+        slope: names of inputs and parameters along which derivatives are carried.
+        model_exchange: whether it is for model exchange, too.
+        interval: communication step [s].
+        target: platform; None: this one.
+    """
     file = Path(f"{scene.stem}.fmu") if folder is None else folder
     with mistakes_told():
         content = read(scene)
@@ -232,9 +264,9 @@ def fmu(
             content.mechanism,
             file,
             integrator=content.integrator,
-            inputs=dict(map(_named, input)),
+            inputs=dict(map(_parse_name_and_number, input)),
             outputs=content.responses or None,
-            parameters=dict(map(_named, parameter)),
+            parameters=dict(map(_parse_name_and_number, parameter)),
             slopes=slope,
             kinds=kinds,
             interval=interval,
@@ -244,7 +276,7 @@ def fmu(
     click.echo(str(unit))
 
 
-def _named(text: str) -> tuple[str, str]:
+def _parse_name_and_number(text: str) -> tuple[str, str]:
     """A name and the number that it stands for, as typed. Raises `ValueError`."""
     name, _, number = text.partition("=")
     if not number:
@@ -298,15 +330,24 @@ def identify(
     folder: Path | None = None,
     show: bool = True,
 ) -> None:
-    """What records tell of what varies of a scene: prints each number's interval and whether it is
-    identified; table, data set and figure go to `folder` (by default named after the scene).
-    `signal`: columns with their sensors; `time`: a column in seconds, or column:unit:begin:end;
-    `turn`: the column of an encoder, or the period [s]."""
+    """Identifies what varies of a scene from records; prints intervals and writes files.
+
+    Args:
+        scene: path of the file.
+        record: paths of tables with measured columns.
+        signal: columns with their sensors.
+        time: column in seconds, or column:unit:begin:end.
+        turn: column of an encoder, or period [s]; None: no turns.
+        runs: number of runs.
+        how: method of `identify`.
+        folder: for the files; None: named after the scene.
+        show: whether progress bars are shown.
+    """
     folder = Path(f"{scene.stem}_identified") if folder is None else folder
     with mistakes_told():
         content = read(scene)
         signals = dict(map(sensor_of, signal))
-        column, unit, *part = _time_of(time)
+        column, unit, *part = _parse_time_column(time)
         with contextlib.suppress(TypeError, ValueError):
             turn = float(turn)  # type: ignore[arg-type,assignment]
         records = [
@@ -322,11 +363,11 @@ def identify(
     plot.identification(result).savefig(folder / "identified.png", dpi=DOTS_PER_INCH)
     result.to_dataset().to_netcdf(folder / "identified.nc", engine="scipy")
     texts = {"result": result.sentence(), "warnings": list(result.warned), "checks": str(result)}
-    _tell(content, folder, {"title": f"Identification of {scene.name}", **texts})
+    _write_description(content, folder, {"title": f"Identification of {scene.name}", **texts})
     click.echo(f"Table, data set and figure in {folder.resolve()}; jaxclear report {folder}")
 
 
-def _time_of(text: str) -> tuple[str, str, float, float]:
+def _parse_time_column(text: str) -> tuple[str, str, float, float]:
     """Column, unit, and begin and end [s] of what counts, as typed: t, t:ms or t:ms:0.1:0.6."""
     column, unit, begin, end, *more = [*text.split(":"), "", "", ""]
     try:
@@ -345,9 +386,16 @@ def monte_carlo(
     chunk: int | None = None,
     show: bool = True,
 ) -> None:
-    """A campaign over what varies of a scene, kept in `folder` (by default named after the file)
-    chunk by chunk; goes on where an earlier one was interrupted. Prints statistics with errors,
-    failures and warnings."""
+    """A campaign over what varies of a scene; it continues where an earlier one stopped.
+
+    Args:
+        scene: path of the file.
+        samples: number of samples.
+        folder: for the samples; None: named after the scene.
+        seed: of the samples.
+        chunk: samples computed at once; None: chosen.
+        show: whether a progress bar is shown.
+    """
     folder = Path(f"{scene.stem}_store") if folder is None else folder
     try:
         with mistakes_told():
@@ -356,7 +404,7 @@ def monte_carlo(
                 content.problem(), samples, folder=folder, seed=seed, chunk=chunk, progress_bar=show
             )
     finally:
-        _remember(scene, folder)
+        _copy_scene(scene, folder)
     table = study.summary()
     click.echo(f"\n{table}\n")
     report_samples(study)
@@ -365,7 +413,7 @@ def monte_carlo(
         raise click.ClickException("every sample failed.")
 
 
-def _remember(scene: Path, folder: Path) -> None:
+def _copy_scene(scene: Path, folder: Path) -> None:
     """Keeps the scene beside its samples, once there are any."""
     file = folder / SCENE
     if folder.is_dir() and any(folder.iterdir()) and not file.exists():

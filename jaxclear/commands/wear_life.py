@@ -70,8 +70,14 @@ def groove_figure(life: WearLife) -> Figure:
 
 
 def study(folder: Path, cycles: float = 1e6, tolerance: float = 1e-2, show: bool = True) -> None:
-    """Runs everything and writes it to `folder`; `tolerance` [1] of the depth, `show`: a progress
-    bar."""
+    """Runs the study of the wear life and writes its tables and figures.
+
+    Args:
+        folder: for the files.
+        cycles: of the life.
+        tolerance: relative accuracy of the depth [1].
+        show: whether progress bars are shown.
+    """
     files = StudyFolder(folder)
     problem = life_problem()
     settled = jc.steady_cycle(problem)

@@ -72,8 +72,15 @@ def scaled_contacts(problem: FrictionContact) -> Scaled:
 def linearised(
     problem: Scaled, r: tuple, margin: Any, regular: float
 ) -> tuple[list[LinearisedLaw], list[Array]]:
-    """(the laws of the contacts, rows of the Jacobian of F(r, rho (W r + b)) with respect to r),
-    with `regular` added to the rows of contacts that stick.
+    """The contact laws linearised about a solution, and the Jacobian of their residual by r.
+
+    The residual is F(r, rho (W r + b)).
+
+    Args:
+        problem: contacts in units of their own.
+        r: reactions, an array for each contact.
+        margin: within which a contact at an edge of two states counts as open or sticking.
+        regular: added to the rows of contacts that stick [1].
     """
     laws, lines, m, first = [], [], sum(map(len, r)), 0
     for i, part in enumerate(r):
@@ -92,8 +99,15 @@ def linearised(
 
 @partial(jax.custom_jvp, nondiff_argnums=(5,))
 def keep_states(r, solved, matrix, offset, mu, sizes: tuple[int, ...]) -> Array:
-    """r unchanged, with the derivatives of the solution whose contacts keep their states; zero
-    where not `solved`, and of the least change of r where contacts are redundant.
+    r"""unchanged, with the derivatives of the solution whose contacts keep their states.
+
+    They are zero where it is not solved, and of the least change of r where contacts are redundant.
+
+    Args:
+        r: reactions of all contacts, shape (m,).
+        solved: whether r is a solution.
+        matrix, offset, mu: W (m, m), b (m,) and friction coefficients of the problem.
+        sizes: number of components of each contact.
     """
     return r
 

@@ -35,8 +35,13 @@ def project_on_cone(r: Float[Array, " d"], mu: Scalar) -> Float[Array, " d"]:
 def natural_map(
     r: Float[Array, " d"], v: Float[Array, " d"], mu: Scalar, rho: Scalar
 ) -> Float[Array, " d"]:
-    r"""De Saxcé's natural map r - proj_K(r - rho (v + mu \|v_t\| n)): zero exactly at a solution,
-    whatever rho > 0 [unit of r per unit of v].
+    r"""De Saxcé's natural map r - proj_K(r - rho (v + mu \|v_t\| n)); zero exactly at a solution.
+
+    Args:
+        r: reaction of a contact, normal first.
+        v: its velocity, normal first.
+        mu: friction coefficient [1].
+        rho: > 0 [unit of r per unit of v].
     """
     lifted = v.at[0].add(mu * safe_sqrt(jnp.sum(v[1:] ** 2)))
     return r - project_on_cone(r - rho * lifted, mu)
@@ -45,12 +50,19 @@ def natural_map(
 def one_contact(
     block: Float[Array, "d d"], free: Float[Array, " d"], mu: Scalar
 ) -> Float[Array, " d"]:
-    r"""Reaction of a single contact with v = own r + free; it exists for every positive definite
-    `own`, and is found up to condition numbers of some 1e8.
+    r"""Reaction of a single contact with v = block r + free.
 
-    Sliding with v_t = -alpha r_t makes r the solution of (own + alpha on the tangents) r = -free:
-    stick at alpha = 0; otherwise mu r_n / \|r_t\| - 1, nearly linear in alpha, has a root, which
-    Newton's method finds between bounds.
+    It exists for every positive definite `block`, and is exact up to condition numbers of some 1e8.
+    Sliding with v_t = -alpha r_t makes r the solution of (block + alpha on the tangents) r = -free:
+    stick
+    at alpha = 0; otherwise mu r_n / \|r_t\| - 1, nearly linear in alpha, has a root, which Newton's
+    method
+    finds between bounds.
+
+    Args:
+        block: of Delassus' operator at this contact, normal first.
+        free: velocity without its reaction, normal first.
+        mu: friction coefficient [1].
     """
     stiff = jnp.where(block[0, 0] > 0, block[0, 0], jnp.inf)
     pressed = free[0] < 0
@@ -60,7 +72,7 @@ def one_contact(
     tangents = block[1:, 1:] - jnp.outer(block[1:, 0], coupling)
     push = free[1:] - block[1:, 0] * free[0] / stiff
     normal = lambda tangent: -free[0] / stiff - coupling @ tangent
-    stick = -_inverse(tangents, 0.0) @ push
+    stick = -_regularised_inverse(tangents, 0.0) @ push
     sticks = safe_sqrt(stick @ stick) <= mu * normal(stick)
     if free.shape[0] == 2:
         direction = -jnp.sign(push)
@@ -72,7 +84,7 @@ def one_contact(
     return jnp.where(pressed, jnp.where(sticks, jnp.append(normal(stick), stick), slide), 0.0)
 
 
-def _inverse(matrix, alpha):
+def _regularised_inverse(matrix, alpha):
     """(matrix + alpha)^-1 for one or two rows by Cramer's rule, zero where it is singular."""
     if matrix.shape[0] == 1:
         return safe_divide(1.0, matrix + alpha)
@@ -85,7 +97,7 @@ def _sliding_direction(tangents, push, normal, coupling, mu):
 
     def improve(_, carry):
         alpha, low, high = carry
-        inverse = _inverse(tangents, alpha)
+        inverse = _regularised_inverse(tangents, alpha)
         tangent = -inverse @ push
         slope = -inverse @ tangent
         size = safe_sqrt(tangent @ tangent)
@@ -99,7 +111,7 @@ def _sliding_direction(tangents, push, normal, coupling, mu):
         return jnp.where(inside, newton, middle), low, high
 
     alpha, _, _ = jax.lax.fori_loop(0, LOCAL_STEPS, improve, (0.0, 0.0, jnp.inf))
-    tangent = -_inverse(tangents, alpha) @ push
+    tangent = -_regularised_inverse(tangents, alpha) @ push
     return safe_divide(1.0, safe_sqrt(tangent @ tangent)) * tangent
 
 
@@ -117,11 +129,17 @@ class LinearisedLaw(NamedTuple):
 def alart_curnier(
     r: Float[Array, " d"], s: Float[Array, " d"], mu: Scalar, margin: Scalar
 ) -> LinearisedLaw:
-    r"""The law of open, stick or slide, whichever r - s tells.
+    r"""The law of open, stick or slide, linearised, by the state that r - s indicates.
 
     open: F = r; stick: F = s; slide: F = (s_n, r_t - mu r_n u), u = (r_t - s_t) / \|r_t - s_t\|.
-    Within `margin` a contact that just touches without force counts as open, one on the edge of its
-    cone without slip as sticking.
+
+    Args:
+        r: reaction of a contact, normal first.
+        s: rho times its velocity, in the unit of r.
+        mu: friction coefficient [1].
+            margin: within which a contact that just touches without force counts as open, and one
+            on the
+            edge of its cone without slip as sticking [unit of r].
     """
     d = r.shape[0]
     eye, zero, none = jnp.eye(d), jnp.zeros((d, d)), jnp.zeros(d)

@@ -155,11 +155,11 @@ def _follow_path(matrix, offset, kappa, max_steps):
 
     def running(carry):
         z, w, moved, steps = carry
-        return ~_arrived(matrix, offset, kappa, z, w) & moved & (steps < max_steps)
+        return ~_has_converged(matrix, offset, kappa, z, w) & moved & (steps < max_steps)
 
     def improve(carry):
         z, w, _, steps = carry
-        dz, dw, length = _step(matrix, offset, kappa, z, w)
+        dz, dw, length = _newton_direction(matrix, offset, kappa, z, w)
         moved = (length > SHORTEST) & jnp.all(jnp.isfinite(dz + dw))
         return (
             jnp.where(moved, z + length * dz, z),
@@ -171,17 +171,17 @@ def _follow_path(matrix, offset, kappa, max_steps):
     start = START * jnp.maximum(1.0, jnp.sqrt(kappa))
     first = (start, start, jnp.asarray(True), 0)
     z, w, moved, steps = jax.lax.while_loop(running, improve, first)
-    arrived = _arrived(matrix, offset, kappa, z, w)
+    arrived = _has_converged(matrix, offset, kappa, z, w)
     ended = jnp.where(moved, Outcome.LIMIT, Outcome.STALLED)
     return z, jnp.where(arrived, Outcome.SOLVED, ended), steps
 
 
-def _arrived(matrix, offset, kappa, z, w):
+def _has_converged(matrix, offset, kappa, z, w):
     balanced = jnp.max(jnp.abs(matrix @ z + offset - w)) <= BALANCED * (1 + jnp.max(z))
     return balanced & (jnp.max(jnp.abs(z * w / kappa - 1)) <= CENTRED)
 
 
-def _step(matrix, offset, kappa, z, w):
+def _newton_direction(matrix, offset, kappa, z, w):
     """Direction (dz, dw) towards the path, and how far along it to go."""
     total = z + w
     factored = jax.scipy.linalg.lu_factor(jnp.diag(w / total) + (z / total)[:, None] * matrix)
@@ -205,7 +205,7 @@ def _step(matrix, offset, kappa, z, w):
     target = kappa * jnp.maximum(1.0, share * mean)
     # the correction for a whole step misleads where only part of it can be taken
     dz, dw = towards(target - z * w - length**2 * dz * dw, (1 - share) * balance)
-    return dz, dw, _near_path(kappa, z, w, dz, dw)
+    return dz, dw, _longest_central_step(kappa, z, w, dz, dw)
 
 
 def _length(z, w, dz, dw):
@@ -216,7 +216,7 @@ def _length(z, w, dz, dw):
     return jnp.minimum(1.0, SHORT_OF_BOUNDARY * jnp.min(jnp.minimum(*ratios)))
 
 
-def _near_path(kappa, z, w, dz, dw):
+def _longest_central_step(kappa, z, w, dz, dw):
     """The longest of some steps that keeps every product above a share of their mean, so that no
     boundary stops the next.
     """

@@ -20,7 +20,7 @@ from jaxtyping import Array, Float
 from jaxclear.complementarity.problem import AbstractProblem, AbstractSolver, Outcome, Solution
 from jaxclear.complementarity.projected_gauss_seidel import Iterate
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.numerics import safe_divide, safe_sqrt
+from jaxclear.ground.numerics import safe_divide
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.quantity import Scalar, quantity
 
@@ -127,23 +127,20 @@ class JointFriction(AbstractProblem):
         shares = [safe_divide(friction[i], load) for i in range(place.start, place.stop)]
         return shares[0] if len(shares) == 1 else tuple(shares)
 
-    def improved(
-        self, k: int, friction: Float[Array, " k"], load: Any, relaxation: Any
-    ) -> tuple[list, Any, Any]:
+    def improved(self, k: int, friction: Float[Array, " k"], load: Any) -> tuple[list, Any, Any]:
         """Friction of one joint that satisfies its law while that of the others stays.
 
         Args:
             k: index of the joint.
             friction: friction of all joints [N], an array.
             load: load of the joint [N].
-            relaxation: share of the bound over which friction is rounded [1]; None: exact.
 
         Returns:
             components of T_k [N], the bound of their size [N], and whether they are within it.
         """
         rule, place = self.ratios[k], self.place(k)
         if isinstance(rule, (Caught, Opposed)):
-            return self._on_ball(k, friction, rule)
+            return self._solve_ball(k, friction, rule)
         i = place.start
         if isinstance(rule, Between):
             stiff = jnp.maximum(self.delassus[i][i], self.softest[i])
@@ -153,10 +150,10 @@ class JointFriction(AbstractProblem):
         low, high = (share * load for share in rule)
         stiff = jnp.maximum(self.delassus[i][i], self.softest[i])
         target = friction[i] - self.slip(i, friction) / stiff
-        friction_there = _within(target, low, high, relaxation)
+        friction_there = jnp.clip(target, -low, high)
         return [friction_there], jnp.maximum(low, high), friction_there == target
 
-    def _on_ball(self, k: int, friction: Float[Array, " k"], rule: Any) -> tuple[list, Any, Any]:
+    def _solve_ball(self, k: int, friction: Float[Array, " k"], rule: Any) -> tuple[list, Any, Any]:
         """A ball that would stick with friction inside the disc sticks; one that would not is moved
         against its slip onto the disc's edge."""
         (force,) = self.carried(k, friction, (0.0,) * 3)
@@ -169,7 +166,7 @@ class JointFriction(AbstractProblem):
             friction_there = [-bound * safe_divide(x, speed) for x in slip]
         else:
             bound = rule.share * size
-            friction_there = self._caught(k, friction, frame, bound)
+            friction_there = self._solve_caught(k, friction, frame, bound)
         within = sp.norm(friction_there) < bound
         return (
             [sp.dot(friction_there, column) for column in zip(*frame, strict=True)],
@@ -177,7 +174,7 @@ class JointFriction(AbstractProblem):
             within,
         )
 
-    def _caught(self, k: int, friction: Float[Array, " k"], frame: tuple, bound: Any) -> list:
+    def _solve_caught(self, k: int, friction: Float[Array, " k"], frame: tuple, bound: Any) -> list:
         components = range(self.place(k).start, self.place(k).stop)
         block = [[self.delassus[i][j] for j in components] for i in components]
         pulled = [[sp.dot(row, axis) for row in block] for axis in frame]
@@ -204,7 +201,7 @@ class JointFriction(AbstractProblem):
         residuals = [jnp.zeros(())]
         for k, pair in enumerate(self.ratios):
             if pair is not None:
-                improved, *_ = self.improved(k, z, total[k], None)
+                improved, *_ = self.improved(k, z, total[k])
                 residuals += [z[self.place(k).start + i] - x for i, x in enumerate(improved)]
         return jnp.max(jnp.abs(jnp.stack(residuals)))
 
@@ -221,14 +218,10 @@ class BoxedGaussSeidel(AbstractSolver):
     Args:
         tolerance: change of friction relative to its bound at which to stop [1], > 0.
         max_sweeps: largest number of sweeps over the joints [1], > 0.
-        relaxation: share of the bound over which the corners of the bounds are rounded [1], > 0
-            (Chen & Harker 1993, SIAM J. Matrix Anal. Appl. 14, 1168, doi:10.1137/0614081); None:
-            exact.
     """
 
     tolerance: Scalar = quantity(1e-13, "1", above=0)
     max_sweeps: Scalar = quantity(1000.0, "1", above=0)
-    relaxation: Scalar | None = quantity(None, "1", above=0)
 
     def solve(self, problem: JointFriction) -> Solution:
         check_double_precision()
@@ -261,7 +254,7 @@ class BoxedGaussSeidel(AbstractSolver):
             largest = jnp.where(largest > 0, largest, 1.0)
             change = jnp.max(jnp.abs(friction - before)) / largest
             if problem.components() > 1:
-                moved = _moved(problem, friction - before) / largest
+                moved = _force_for_change(problem, friction - before) / largest
                 idle = within & (change > DRIFTS * last) & (moved <= self.tolerance)
                 change = jnp.where(idle, moved, change)
             return friction, total, change, sweeps + 1
@@ -279,7 +272,7 @@ class BoxedGaussSeidel(AbstractSolver):
                 continue
             load = problem.load(k, friction, problem.shares(k, friction, total[k]))
             total = total.at[k].set(load)
-            improved, bound, within = problem.improved(k, friction, load, self.relaxation)
+            improved, bound, within = problem.improved(k, friction, load)
             for i, x in enumerate(improved, problem.place(k).start):
                 all_within &= within | (friction[i] == x)
                 friction = friction.at[i].set(x)
@@ -287,20 +280,11 @@ class BoxedGaussSeidel(AbstractSolver):
         return friction, total, largest, all_within
 
 
-def _moved(problem: JointFriction, change: Array) -> Any:
+def _force_for_change(problem: JointFriction, change: Array) -> Any:
     """The largest friction [N] that would by itself move its joint as this change of all does."""
     stiff = [jnp.maximum(row[i], problem.softest[i]) for i, row in enumerate(problem.delassus)]
     moved = [sp.dot(row, change) / x for row, x in zip(problem.delassus, stiff, strict=True)]
     return jnp.max(jnp.abs(jnp.stack(moved)))
-
-
-def _within(x, low, high, relaxation):
-    """x moved into [-low, high]; with `relaxation`, rounded over that share of the bounds."""
-    if relaxation is None:
-        return jnp.clip(x, -low, high)
-    width = relaxation * 0.5 * (low + high)
-    root = lambda y: safe_sqrt(y * y + width * width)
-    return 0.5 * (root(x + low) - root(x - high) + high - low)
 
 
 def across(direction: tuple) -> tuple[tuple, tuple]:

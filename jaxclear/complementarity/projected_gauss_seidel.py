@@ -159,7 +159,7 @@ def _sweep_until(
         r = jax.lax.fori_loop(0, SWEEPS, lambda _, r: _sweep(problem, r), r)
         residual = _residual(problem, r)
         if not in_kernel or sum(map(len, r)) <= LARGEST_ELIMINATED:
-            newton_reactions = _newton(problem, r, in_kernel)
+            newton_reactions = _newton_step(problem, r, in_kernel)
             newton_residual = _residual(problem, newton_reactions)
             # Steps that are no better than what was known would lead round in circles.
             nearer = newton_residual < 0.5 * jnp.minimum(best, residual)
@@ -180,7 +180,7 @@ def _sweep_until(
     return reactions, residual, sweeps
 
 
-def _newton(problem: Scaled, r: tuple, in_kernel: bool) -> tuple:
+def _newton_step(problem: Scaled, r: tuple, in_kernel: bool) -> tuple:
     """A step of Newton's method for all contacts in the states they are in, brought back into their
     cones.
     """

@@ -234,9 +234,20 @@ def piece_name(beam: str, index: int) -> str:
 def with_pieces(
     bodies: dict[str, Any], connections: dict[str, Any], loads: dict[str, Any]
 ) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
-    """Bodies, connections and loads of a mechanism in which beams are pieces, hinges and their
-    elasticity, and markers lie on pieces; those that are already stay. What is left of a beam in
-    whose place another body or beam has come goes, and its markers lie on that."""
+    """Bodies, connections and loads with beams replaced by pieces, hinges and elasticity.
+
+    Markers on beams are put on pieces; parts that exist are kept. Remains of a beam that was
+    replaced by
+    another body are removed.
+
+    Args:
+        bodies: by name; pieces are inserted beside their `Beam`.
+        connections: by name; hinges between pieces are added.
+        loads: by name; the elasticity of each beam is added.
+
+    Raises:
+        ValueError: a part of the user's has the name of one that the beam makes.
+    """
     beams = {n: b for n, b in bodies.items() if isinstance(b, Beam)}
     pieces = {n: b for name, beam in beams.items() for n, b in beam.pieces(name).items()}
     stale = {n: b for n, b in bodies.items() if isinstance(b, Piece) and b != pieces.get(n)}
@@ -244,7 +255,7 @@ def with_pieces(
         return bodies, connections, loads
     built = [name for name in beams if f"{name} elasticity" in loads]
     bodies, *joined = without_pieces(bodies, connections, loads, stale)
-    connections, loads = (_moved(lambda x: on_piece(beams, x, built), parts) for parts in joined)
+    connections, loads = (_move(lambda x: on_piece(beams, x, built), parts) for parts in joined)
     for name, beam in beams.items():
         hinges, ends = beam.hinges(name), beam.ends()
         joints = {}
@@ -270,8 +281,16 @@ def with_pieces(
 def without_pieces(
     bodies: dict[str, Any], connections: dict[str, Any], loads: dict[str, Any], pieces: dict | None
 ) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
-    """Bodies, connections and loads of a mechanism without these pieces of beams (None: all), their
-    hinges and their elasticity; markers on them lie on the beams."""
+    """Bodies, connections and loads without pieces of beams, their hinges and elasticity.
+
+    Markers on the pieces are put back on the beams.
+
+    Args:
+        bodies: by name, with beams and their pieces.
+        connections: by name, with hinges.
+        loads: by name, with elasticities.
+        pieces: which pieces to remove, by name; None: all.
+    """
     if pieces is None:
         pieces = {n: body for n, body in dict.items(bodies) if isinstance(body, Piece)}
     beams = {body.beam for body in pieces.values()}
@@ -289,11 +308,11 @@ def without_pieces(
         return part.child.body in pieces and len({on_beam(end).body for end in ends}) == 1
 
     rest = ({n: x for n, x in parts.items() if not is_part(x)} for parts in (connections, loads))
-    connections, loads = (_moved(on_beam, parts) for parts in rest)
+    connections, loads = (_move(on_beam, parts) for parts in rest)
     return {n: x for n, x in dict.items(bodies) if n not in pieces}, connections, loads
 
 
-def _moved(move: Callable[[Marker], Marker], parts: Mapping[str, Any]) -> dict[str, Any]:
+def _move(move: Callable[[Marker], Marker], parts: Mapping[str, Any]) -> dict[str, Any]:
     """Parts with every marker moved."""
     one = lambda x: move(x) if isinstance(x, Marker) else x
     leaf = lambda x: isinstance(x, Marker)
@@ -301,8 +320,17 @@ def _moved(move: Callable[[Marker], Marker], parts: Mapping[str, Any]) -> dict[s
 
 
 def on_piece(bodies: Mapping[str, Any], marker: Marker, built: Sequence[str] = ()) -> Marker:
-    """A marker on a beam of these bodies as one on the piece where it lies; any other as it is, and
-    so what is being traced on beams that are `built`: it was put on its piece before."""
+    """A marker on a beam as one on the piece where it lies; any other marker unchanged.
+
+    Args:
+        bodies: by name; beams are looked up here.
+        marker: on a body or beam; `at[0]` is the position along the beam [m].
+            built: names of beams whose markers are on pieces already; a traced position on these is
+            kept.
+
+    Raises:
+        ValueError: the marker lies beyond the beam's ends, or its position is traced.
+    """
     beam = bodies.get(marker.body)
     if not isinstance(beam, Beam) or marker.at is None:
         return marker

@@ -43,7 +43,7 @@ else:
 ROUNDING = 1e-9
 
 
-def _inertia(value: Any) -> Any:
+def _as_inertia(value: Any) -> Any:
     value = (
         tuple(value)
         if isinstance(value, (tuple, list)) or getattr(value, "ndim", 0) == 1
@@ -70,7 +70,7 @@ class Body(AbstractQuantified):
     mass: Scalar = quantity(unit="kg", above=0)
     inertia: Any = quantity(
         unit="kg m^2",
-        converter=_inertia,
+        converter=_as_inertia,
         counts=(1, 3, 6),
         wanted="1 number (about z, planar), 3 (xx, yy, zz) or 6 (xx, yy, zz, xy, xz, yz) [kg m^2]",
     )

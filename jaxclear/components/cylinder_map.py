@@ -94,7 +94,12 @@ class CylinderMap(AbstractRound):
         return 1.0 / jnp.sqrt(self.square_width(indentation))
 
     def position(self, x: Array, y: Array, z: Array) -> tuple[Array, Array]:
-        """Where a place of the wall [m] lies, in units of cells: around, along."""
+        """Cell coordinates (around, along) of a point of the wall, in units of cells.
+
+        Args:
+            x, y: position across the axis [m]; only its direction counts.
+            z: position along the axis from the middle [m].
+        """
         return self.column(x, y), self.row(z)
 
     def contact(self, volume, features):
@@ -178,7 +183,7 @@ class CylinderMap(AbstractRound):
         """Of each row at an end the depth at the edge, column by column, the last two in front and
         the first two behind."""
         rows = []
-        for row, inside in self._edges():
+        for row, inside in self._edge_rows():
             edge = edge_depth(depth[:, row], depth[:, inside])
             rows.append(jnp.concatenate([edge[-2:], edge, edge[:2]]))
         return tuple(rows)
@@ -189,7 +194,7 @@ class CylinderMap(AbstractRound):
         def visit(_, place, reading):
             column = place[0]
             ends = []
-            for r, (row, inside) in zip(reading, self._edges(), strict=True):
+            for r, (row, inside) in zip(reading, self._edge_rows(), strict=True):
                 last, further = (entry(depth, (column, each)) for each in (row, inside))
                 ends.append(with_entry(r, (column + 2,), edge_depth(last, further)))
             return tuple(ends)
@@ -200,15 +205,19 @@ class CylinderMap(AbstractRound):
             reading = tuple(with_entry(r, (to,), entry(r, (of,))) for r in reading)
         return reading
 
-    def _edges(self) -> list[tuple[int, Any]]:
+    def _edge_rows(self) -> list[tuple[int, Any]]:
         """(row, the next further inside) at the lower and the upper end; one of a single row."""
         last = self.cells[1] - 1
         inside = jnp.minimum(self.side, last)
         return [(0, inside), (last, last - inside)] if last else [(0, 0)]
 
     def depth_at_end(self, reading: tuple, x: Scalar, y: Scalar, end: int) -> Scalar:
-        """Worn depth at the direction (x, y) of the row at the lower (-1) or upper (1) end, in
-        metres.
+        """Worn depth [m] at one end of the wall.
+
+        Args:
+            reading: rows of depths [m] at the ends (`reading` of this map).
+            x, y: unit vector of the direction.
+            end: -1 for the lower and 1 for the upper end.
         """
         around, row = self.cells[0], reading[0 if end < 0 else -1]
         position = direction_angle(x, y) * (around / (2 * math.pi) / self.coarseness) - 0.5

@@ -135,7 +135,7 @@ class Position(AbstractDrive):
 
     def motion(self, time: Scalar) -> tuple[Any, Any, Any]:
         def rate(at):
-            return jax.jvp(_as_number(self.function), (at,), (jnp.ones_like(at),))
+            return jax.jvp(_with_array_value(self.function), (at,), (jnp.ones_like(at),))
 
         time = jnp.asarray(time, float)
         (position, speed), (_, acceleration) = jax.jvp(rate, (time,), (jnp.ones_like(time),))
@@ -164,15 +164,15 @@ class Speed(AbstractDrive):
         check_function_of_time(self, "function")
 
     def motion(self, time: Scalar) -> tuple[Any, Any, Any]:
-        function = _as_number(self.function)
+        function = _with_array_value(self.function)
         time = jnp.asarray(time, float)
         speed, acceleration = jax.jvp(function, (time,), (jnp.ones_like(time),))
         source: Any = self.function
         exact = source.integral(time) if isinstance(source, AbstractFunctionOfTime) else None
-        travelled = self._travelled(time, function) if exact is None else exact
+        travelled = self._integrate_speed(time, function) if exact is None else exact
         return self.start + travelled, speed, acceleration
 
-    def _travelled(self, time: Scalar, function: Callable) -> Any:
+    def _integrate_speed(self, time: Scalar, function: Callable) -> Any:
         """The integral by quadrature."""
         nodes, weights = np.polynomial.legendre.leggauss(8)
         edges = np.arange(self.pieces)[:, None]
@@ -181,7 +181,7 @@ class Speed(AbstractDrive):
         return time * jnp.sum(jnp.asarray(weights) * jax.vmap(function)(time * jnp.asarray(shares)))
 
 
-def _as_number(function: Callable) -> Callable[[Scalar], Scalar]:
+def _with_array_value(function: Callable) -> Callable[[Scalar], Scalar]:
     """The function of time with its value as an array: one that is constant may return 3.0."""
     return lambda time: jnp.asarray(function(time), float)
 

@@ -57,8 +57,12 @@ class AbstractFunctionOfTime(AbstractQuantified):
 
 
 def check_function_of_time(part: Any, field: str, counts: tuple[int, ...] = (1,)) -> None:
-    """Raises `ValueError` for a function in a field of a part that fails at a time, or returns
-    other than as many numbers as one of `counts`; what is no function passes.
+    """Raises `ValueError` for a function of time that fails or returns a wrong number of numbers.
+
+    Args:
+        part: load or drive that has the function.
+        field: name of its field; a value that is no function passes.
+        counts: allowed numbers of results.
     """
     function = getattr(part, field)
     if not callable(function):
@@ -163,11 +167,11 @@ class TimeTable(AbstractFunctionOfTime):
         check_name("interpolation of a TimeTable", interpolation, INTERPOLATIONS)
         check_name("way beyond a TimeTable", beyond, BEYOND)
         instants = _as_times(times)
-        values = _checked(values, instants, beyond)
+        values = _check_values(values, instants, beyond)
         self.times, self.values, self.factor = jnp.asarray(instants), values, factor
         self.interpolation, self.beyond = interpolation, beyond
-        self.coefficients = _coefficients(instants, values, interpolation, beyond)
-        steps = _along(np.diff(instants), values)
+        self.coefficients = _fit_pieces(instants, values, interpolation, beyond)
+        steps = _align_with_columns(np.diff(instants), values)
         gained = sum(c * steps ** (k + 1) / (k + 1) for k, c in enumerate(self.coefficients))
         self.areas = jnp.concatenate([jnp.zeros_like(values[:1]), jnp.cumsum(gained, axis=0)])
 
@@ -219,8 +223,8 @@ class TimeTable(AbstractFunctionOfTime):
         return cls(columns[0], values_read, interpolation, **further)
 
     def __call__(self, time: Scalar) -> Any:
-        time, periods, _ = self._within(time)
-        index, s = self._piece(periods)
+        time, periods, _ = self._time_in_table(time)
+        index, s = self._find_piece(periods)
         a, b, c, d = (self.coefficients[k, index] for k in range(4))
         value = a + s * (b + s * (c + s * d))
         if self.beyond == "straight":
@@ -229,8 +233,8 @@ class TimeTable(AbstractFunctionOfTime):
 
     def integral(self, time):
         def area(at):
-            at, periods, turns = self._within(at)
-            index, s = self._piece(periods)
+            at, periods, turns = self._time_in_table(at)
+            index, s = self._find_piece(periods)
             a, b, c, d = (self.coefficients[k, index] for k in range(4))
             area = self.areas[index] + s * (a + s * (b / 2 + s * (c / 3 + s * d / 4)))
             if self.beyond == "repeated":
@@ -252,7 +256,7 @@ class TimeTable(AbstractFunctionOfTime):
         if self.beyond == "straight" or isinstance(self.coefficients, jax.core.Tracer):
             return
         scale = float(jnp.max(jnp.abs(self.values)) / (self.times[-1] - self.times[0]))
-        first, last = (float(speed) for speed in self._end_speeds())
+        first, last = (float(speed) for speed in self._end_rates())
         if self.beyond == "repeated" and abs(first - last) > REST * scale:
             raise ValueError(
                 "a drive is given a TimeTable that is repeated, and its speeds at both ends "
@@ -265,13 +269,13 @@ class TimeTable(AbstractFunctionOfTime):
                 "rest."
             )
 
-    def _end_speeds(self) -> tuple[Any, Any]:
+    def _end_rates(self) -> tuple[Any, Any]:
         """Rates at the first and the last time."""
         _, b, c, d = self.coefficients
         step = self.times[-1] - self.times[-2]
         return b[0], b[-1] + step * (2 * c[-1] + 3 * step * d[-1])
 
-    def _within(self, time: Any) -> tuple[Any, Any, Any]:
+    def _time_in_table(self, time: Any) -> tuple[Any, Any, Any]:
         """A time, the one within the table that it is read at, and the whole turns between."""
         time = jnp.asarray(time, float)
         first, last = self.times[0], self.times[-1]
@@ -280,7 +284,7 @@ class TimeTable(AbstractFunctionOfTime):
         turns = jnp.floor((time - first) / (last - first))
         return time, time - turns * (last - first), turns
 
-    def _piece(self, time: Any) -> tuple[Any, Any]:
+    def _find_piece(self, time: Any) -> tuple[Any, Any]:
         """The piece in which a time lies, and how far [s]."""
         last = len(self.times) - 2
         index = jnp.zeros((), int)
@@ -291,7 +295,7 @@ class TimeTable(AbstractFunctionOfTime):
         return index, time - self.times[index]
 
 
-def _along(steps: np.ndarray, values: Any) -> Any:
+def _align_with_columns(steps: np.ndarray, values: Any) -> Any:
     """Numbers of the pieces beside those of the columns."""
     return jnp.asarray(steps).reshape(-1, *[1] * (values.ndim - 1))
 
@@ -311,7 +315,7 @@ def _as_times(times: Any) -> np.ndarray:
     return instants
 
 
-def _checked(values: Any, times: np.ndarray, beyond: str) -> Array:
+def _check_values(values: Any, times: np.ndarray, beyond: str) -> Array:
     """The values as an array, one row for each time."""
     try:
         array = jnp.asarray(values, float)
@@ -333,12 +337,12 @@ def _checked(values: Any, times: np.ndarray, beyond: str) -> Array:
     return array
 
 
-def _coefficients(times: np.ndarray, values: Array, interpolation: str, beyond: str) -> Array:
+def _fit_pieces(times: np.ndarray, values: Array, interpolation: str, beyond: str) -> Array:
     """Coefficients of the pieces (4, pieces, ...), rising powers."""
     from scipy import interpolate
 
     if interpolation == "linear":
-        slopes = jnp.diff(values, axis=0) / _along(np.diff(times), values)
+        slopes = jnp.diff(values, axis=0) / _align_with_columns(np.diff(times), values)
         return jnp.stack([values[:-1], slopes, jnp.zeros_like(slopes), jnp.zeros_like(slopes)])
     traced = isinstance(values, jax.core.Tracer)
     if interpolation == "monotone":

@@ -53,7 +53,7 @@ class JournalFilm(AbstractJointLoad):
         ratio = self.radius / self.clearance
         return 12 * self.law.viscosity * self.radius * ratio * ratio * ratio
 
-    def _ratio(self, x: Any, y: Any) -> Any:
+    def _eccentricity_ratio(self, x: Any, y: Any) -> Any:
         """Eccentricity ratio [1] of an offset [m], as the film is evaluated."""
         return self.law.floored(safe_sqrt(x * x + y * y) / self.clearance)
 
@@ -73,7 +73,7 @@ class JournalFilm(AbstractJointLoad):
         i = jnp.where(distance > 0, i, 1.0)
         u, v = squeeze
         against, across = self.law.force(
-            self._ratio(x, y), u * i + v * j, v * i - u * j, self.slenderness
+            self._eccentricity_ratio(x, y), u * i + v * j, v * i - u * j, self.slenderness
         )
         size = -self.stiffening
         return size * (against * i - across * j), size * (against * j + across * i)
@@ -87,7 +87,7 @@ class JournalFilm(AbstractJointLoad):
         Returns:
             the damping [N s/m].
         """
-        e = self._ratio(*offset)
+        e = self._eccentricity_ratio(*offset)
         root = jnp.sqrt((1 - e) * (1 + e))
         return self.stiffening * full_film_scales(e, root, self.slenderness)[0]
 
@@ -101,7 +101,7 @@ class JournalFilm(AbstractJointLoad):
         Returns:
             the torque [N m].
         """
-        e, cube = self._ratio(*offset), self.radius * self.radius * self.radius
+        e, cube = self._eccentricity_ratio(*offset), self.radius * self.radius * self.radius
         size = 2 * jnp.pi * self.law.viscosity * cube * self.length
         return size * spin / (self.clearance * jnp.sqrt((1 - e) * (1 + e)))
 

@@ -103,7 +103,7 @@ class Servo(AbstractStateLoad):
         return self.period
 
     def sampled(self, time, positions, speeds, states):
-        torque, error = self._target(time, positions[0], speeds[0], states)
+        torque, error = self._torque_and_integral_rate(time, positions[0], speeds[0], states)
         integral = () if self.ki is None else (states[0] + self.period * error,)
         return (*integral, *states[len(integral) :][1:], torque)
 
@@ -131,12 +131,12 @@ class Servo(AbstractStateLoad):
         """
         if self.period is not None:
             return states[len(states) - 1 - self.delay], (0.0,) * len(states)
-        torque, error = self._target(time, position, speed, states)
+        torque, error = self._torque_and_integral_rate(time, position, speed, states)
         return torque, () if self.ki is None else (error,)
 
-    def _target(self, time, position, speed, states):
+    def _torque_and_integral_rate(self, time, position, speed, states):
         """The torque [N m] that the controller asks for, and the rate of its integral [rad]."""
-        target, rate = _motion(self.reference, time)
+        target, rate = _reference_motion(self.reference, time)
         error = target - position
         torque = self.kp * error
         if self.kd is not None:
@@ -167,7 +167,7 @@ class _ServoOnMotor(AbstractStateLoad):
         return self.servo.states()
 
     def effect(self, time, positions, speeds, states):
-        torque, rates = self.servo.acting(time, *self._reading(positions, speeds), states)
+        torque, rates = self.servo.acting(time, *self._read_encoder(positions, speeds), states)
         force = torque / self.end.ratio
         others = (0,) * (len(positions) - 1)
         return CoordinateEffect((*others, force), rates, 0, 0, force * speeds[-1])
@@ -176,10 +176,10 @@ class _ServoOnMotor(AbstractStateLoad):
         return self.servo.period
 
     def sampled(self, time, positions, speeds, states):
-        position, speed = self._reading(positions, speeds)
+        position, speed = self._read_encoder(positions, speeds)
         return self.servo.sampled(time, (position,), (speed,), states)
 
-    def _reading(self, positions: tuple, speeds: tuple) -> tuple[Any, Any]:
+    def _read_encoder(self, positions: tuple, speeds: tuple) -> tuple[Any, Any]:
         """What the encoder tells of the joint."""
         if self.servo.encoder == "load":
             return positions[0], speeds[0]
@@ -187,17 +187,17 @@ class _ServoOnMotor(AbstractStateLoad):
         return (positions[0] - offset) / self.end.ratio, speeds[0] / self.end.ratio
 
 
-def _unknown_there(numbers: tuple, tangents: tuple) -> Any:
+def _nan_derivative(numbers: tuple, tangents: tuple) -> Any:
     """The derivative of a rate that has changed at once, at an instant which moves with a torque:
     it knows nothing of that."""
     return jnp.where(moved(tangents[1]) != 0, Unknown.AT_LIMIT.number, 0.0)
 
 
 # The rate of an integral (of the kind of an error) where the torque asked for is at its limit.
-_standing = derived(lambda error, torque: jnp.zeros_like(error), _unknown_there)
+_standing = derived(lambda error, torque: jnp.zeros_like(error), _nan_derivative)
 
 
-def _motion(reference: Any, time: Any) -> tuple[Any, Any]:
+def _reference_motion(reference: Any, time: Any) -> tuple[Any, Any]:
     """Where a number or a function of time [s] wants to be, and how fast."""
     if not callable(reference):
         return reference, 0

@@ -82,12 +82,12 @@ class Point(NamedTuple):
     half_arc: Scalar
 
 
-def _travel(
+def _direction_of_spread(
     normal: Float[Array, "3"], products: Float[Array, "5"], drowned: float
 ) -> tuple[Array, Scalar]:
     """(direction across the mean `normal` in which directions spread most, how much more there than
     across it relative to both) from the mean products of their components. Where they spread by
-    little beside an angle at which they are `drowned` [rad], it is that `_along_the_wall`: the mean
+    little beside an angle at which they are `drowned` [rad], it is that `_tangent_to`: the mean
     over a cell that is taken in it is that of its pressure, whichever it is."""
     xx, xy, xz, yy, yz = products
     spread = jnp.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, 1.0 - xx - yy]])
@@ -95,7 +95,7 @@ def _travel(
     spread = across @ spread @ across
     both, more = _sum_and_difference(spread)
     moves = both > STILL
-    some = _along_the_wall(normal)
+    some = _tangent_to(normal)
     # Cells with unlike sides would tell which way rounding points.
     spread = jnp.where(moves, spread, 0.0) + drowned * drowned * jnp.outer(some, some)
     of_both, of_more = _sum_and_difference(spread)
@@ -113,7 +113,7 @@ def _sum_and_difference(spread: Float[Array, "3 3"]) -> tuple[Scalar, Scalar]:
     return both, safe_sqrt(2.0 * jnp.sum(spread * spread) - both * both)
 
 
-def _along_the_wall(normal: Float[Array, "3"]) -> Float[Array, "3"]:
+def _tangent_to(normal: Float[Array, "3"]) -> Float[Array, "3"]:
     """A direction of length 1 across a normal, in the plane of the two axes nearest to it."""
     x, y, z = normal
     zero = jnp.zeros_like(x)
@@ -137,9 +137,15 @@ def spline_weights(position: Float[Array, "..."]) -> tuple[Array, Float[Array, "
 def stencil(
     column: Float[Array, "..."], row: Float[Array, "..."], cells: tuple[int, ...], side: Any = 1
 ) -> tuple[Array, Array, Float[Array, "... 3 3"]]:
-    """(columns, rows, weights) of the nine cells about a position in units of cells, of which each
-    has a `side` of so many in the map. What falls beyond an end is kept in the last row, so that
-    nothing is lost.
+    """(columns, rows, weights) of the nine cells from which a spline reads a position.
+
+    Beyond the first and last row the last cell counts, so that weights still sum to 1.
+
+    Args:
+        column: position around, in units of coarse cells.
+        row: position in elevation, in units of coarse cells.
+        cells: numbers of cells of the map, around and in elevation.
+        side: cells of the map along one side of a coarse cell.
     """
     nearest, across = spline_weights(column)
     level, upwards = spline_weights(row)
@@ -203,12 +209,16 @@ class SphereMap(AbstractRound):
         return 1.0 / self.square_width(indentation)
 
     def position(self, x: Any, y: Any, z: Any) -> tuple[Array, Array]:
-        """Where a direction (x, y, z) lies, in units of cells: azimuth, elevation."""
+        """Cell coordinates (azimuth, elevation) of a direction, in units of cells.
+
+        Args:
+            x, y, z: direction from the ball's centre; its length does not count.
+        """
         return self.column(x, y), self.row(direction_angle(safe_sqrt(x * x + y * y), z))
 
     def contact(self, volume, features):
         normal, length = self.mean_direction(features)
-        travel, share = _travel(jnp.stack(normal), features[3:8], DROWNED * self.cell)
+        travel, share = _direction_of_spread(jnp.stack(normal), features[3:8], DROWNED * self.cell)
         half_arc = arc(length) * safe_sqrt(share)
         square, unresolved = half_arc * half_arc, (UNRESOLVED * self.cell) ** 2
         fixed = jax.lax.stop_gradient(travel)
@@ -286,7 +296,12 @@ class SphereMap(AbstractRound):
     def depth_towards(
         self, depth: Float[Array, "around along"], x: Scalar, y: Scalar, z: Scalar
     ) -> Scalar:
-        """Worn depth in the direction (x, y, z) [m]."""
+        """Worn depth [m] in a direction from the ball's centre.
+
+        Args:
+            depth: of each cell [m].
+            x, y, z: direction; its length does not count.
+        """
         sides = self.coarseness, self.coarse_along
         azimuth, elevation = (
             (at + 0.5) / side - 0.5 for at, side in zip(self.position(x, y, z), sides, strict=True)

@@ -219,23 +219,23 @@ class JointFriction(AbstractStateLoad):
     def states(self):
         if self.transition_speed is not None:
             return ()
-        return (LoadState("bristle", "rad", saturation=self._yields),)
+        return (LoadState("bristle", "rad", saturation=self._yield_deflection),)
 
     def __check_init__(self):
         check_function_of_time(self, "torque")
 
     def effect(self, time, positions, speeds, states):
-        (speed,), torque = speeds, value_at(self._torque, time)
+        (speed,), torque = speeds, value_at(self._friction_function, time)
         if self.transition_speed is not None:
             force = -torque * smooth_sign(jnp.asarray(speed, float), self.transition_speed)
             return CoordinateEffect((force,), (), 0, -force * speed, 0)
-        share, rate = holding(states[0], speed, self._yields, self._settles)
+        share, rate = holding(states[0], speed, self._yield_deflection, self._settling)
         friction = torque * share
         if callable(self.torque):
             # What the bristle stores changes with what presses it: all counts as lost.
             return CoordinateEffect((-friction,), (rate,), 0, friction * speed, 0)
-        elastic = jnp.clip(states[0] / self._yields, -1.0, 1.0)
-        stored = 0.5 * torque * self._yields * elastic * elastic
+        elastic = jnp.clip(states[0] / self._yield_deflection, -1.0, 1.0)
+        stored = 0.5 * torque * self._yield_deflection * elastic * elastic
         wound = jnp.where(jnp.abs(elastic) < 1, torque * elastic * rate, 0.0)
         return CoordinateEffect((-friction,), (rate,), stored, friction * speed - wound, 0)
 
@@ -243,11 +243,11 @@ class JointFriction(AbstractStateLoad):
         return False
 
     @property
-    def _yields(self):
+    def _yield_deflection(self):
         return DEFLECTION if self.presliding is None else self.presliding
 
     @property
-    def _settles(self):
+    def _settling(self):
         return SETTLING if self.settling_time is None else self.settling_time
 
     def needs_inertia(self):
@@ -258,24 +258,24 @@ class JointFriction(AbstractStateLoad):
         if isinstance(most, Pressed):
             most = UNKNOWN * inertia
         elif callable(most):
-            most = jnp.max(jax.vmap(self._pressed)(times))
+            most = jnp.max(jax.vmap(self._friction_at)(times))
         speed = jnp.maximum(most / inertia * delay, SLOWEST)
         if self.settling_time is not None:
             return dataclasses.replace(self, presliding=speed * self.settling_time)
         deflection = jnp.maximum(4 * speed * delay, DEFLECTION)
         return dataclasses.replace(self, presliding=deflection, settling_time=deflection / speed)
 
-    def _pressed(self, time):
+    def _friction_at(self, time):
         """Friction at a time, by a function of it."""
         function: Any = self.torque
         return positive_part(jnp.asarray(function(time), float))
 
     @property
-    def _torque(self):
-        return self._pressed if callable(self.torque) else self.torque
+    def _friction_function(self):
+        return self._friction_at if callable(self.torque) else self.torque
 
     def dry_friction(self):
-        return self._torque if self.transition_speed is None else None
+        return self._friction_function if self.transition_speed is None else None
 
     def pressed_by(self):
         return self.torque.by if isinstance(self.torque, Pressed) else None

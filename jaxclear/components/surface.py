@@ -145,23 +145,23 @@ class Patch(NamedTuple):
         first, last = self.along + self.half, self.along - self.half
         around = first - 2.0 * jnp.pi
         first, last, around = (
-            _segment(safe_divide(end, half_width)) for end in (first, last, around)
+            _half_disc_integral(safe_divide(end, half_width)) for end in (first, last, around)
         )
         swept = first - last + around + 0.25 * jnp.pi
         return safe_sqrt(overlap) * half_width * swept / (2.0 * self.half)
 
 
 @jax.custom_jvp
-def _segment(x: Float[Array, "..."]) -> Float[Array, "..."]:
+def _half_disc_integral(x: Float[Array, "..."]) -> Float[Array, "..."]:
     """Integral of sqrt(1 - t^2) from 0 to x, which lies within -1 and 1 or is taken so."""
     x = jnp.clip(x, -1.0, 1.0)
     return 0.5 * (x * safe_sqrt(1.0 - x * x) + arc_sine(x))
 
 
-@_segment.defjvp
-def _segment_jvp(primals, tangents):
+@_half_disc_integral.defjvp
+def _half_disc_integral_jvp(primals, tangents):
     (x,), (x_dot,) = primals, tangents
-    return _segment(x), safe_sqrt(1.0 - x * x) * x_dot
+    return _half_disc_integral(x), safe_sqrt(1.0 - x * x) * x_dot
 
 
 class Touched(NamedTuple):
@@ -222,7 +222,14 @@ class AbstractSurface(AbstractWearMap):
 
     @abstractmethod
     def patch(self, contact: Contact, columns: Any, row: Int[Array, "*rows"], depth: Array) -> Any:
-        """Cells worn so deep [m], which have `overlapped` and `pressures` as of a `Patch`."""
+        """Cells that a contact touches, which have `overlapped` and `pressures` as of a `Patch`.
+
+        Args:
+            contact: that wears the surface.
+            columns: what cells of a column share.
+            row: indices of the cells' rows.
+            depth: of these cells [m].
+        """
 
     @property
     def side(self) -> Array:
@@ -320,18 +327,27 @@ class AbstractSurface(AbstractWearMap):
         return jax.lax.cond(eqxi.unvmap_all(fits), narrow, rare)
 
     def loss(self, contact: Contact, patch: Any, start: Scalar) -> tuple[Depth, Scalar]:
-        r"""(depth [m] that each cell loses, eccentricity [m] of the part, sought from a `start`
-        [m]). Depths are in proportion to the mean pressure once a part of the volume is lost
-        (`Contact.removed`), :math:`\Delta h = (V/S) w m\sqrt{u - \Delta h}` with V that part, u the
-        largest overlap on the way before it, w the contact's share, m the mean of the roots over
-        the way beside the largest and S the integral of w times the root of a contact.
+        r"""(depth [m] that each cell loses, eccentricity [m] of the part).
+
+        Depths are proportional to the mean pressure once a part of the volume is lost
+        (`Contact.removed`),
+        :math:`\Delta h = (V/S) w m\sqrt{u - \Delta h}` with V that part, u the largest overlap on
+        the way
+        before it, w the contact's share, m the mean of the roots over the way relative to the
+        largest and S
+        the integral of w times the root of a contact.
+
+        Args:
+            contact: with the volume [m3] that it removes.
+            patch: its cells (`patch`).
+            start: eccentricity [m] at which the iteration begins.
         """
         area = self.areas()[0]
 
         def closer(target, patch, level):
             # A product with a vector is several times faster than a sum.
             sums = (jnp.sum(cells @ area) for cells in patch.overlapped(level))
-            return _next_level(level, target, *sums)
+            return _improve_level(level, target, *sums)
 
         target = contact.removed + contact.overlap
         # Held as they are: a loop that ends by itself has no derivative in reverse mode.
@@ -351,7 +367,7 @@ class AbstractSurface(AbstractWearMap):
     def deposit_in_turn(self, depth, reading, pressures, volume, features):
         events = zip(volume, features, pressures, strict=True)
         shares, pressures = zip(
-            *(self._share_in_turn(depth, *event) for event in events), strict=True
+            *(self._share_cell_by_cell(depth, *event) for event in events), strict=True
         )
         for (touched, scale), pressure in zip(shares, pressures, strict=True):
 
@@ -370,7 +386,7 @@ class AbstractSurface(AbstractWearMap):
         visit = lambda _, place, reading: with_entry(reading, place, entry(depth, place))
         return through(touched, self.cells, visit, reading, True)
 
-    def _share_in_turn(
+    def _share_cell_by_cell(
         self, depth: Depth, volume: Scalar, features: Float[Array, " n"], pressure: Depth
     ) -> tuple[tuple[Touched, Scalar], Depth]:
         """((cells that a volume [m3] is taken off, what their pressures are multiplied by [m]),
@@ -379,7 +395,7 @@ class AbstractSurface(AbstractWearMap):
 
         def turn(now):
             contact = self.contact(volume, features)
-            level = self._level_in_turn(contact, depth)
+            level = self._solve_level_cell_by_cell(contact, depth)
             touched = self.touched(contact, jax.lax.stop_gradient(level))
 
             def visit(column, place, carry):
@@ -399,7 +415,7 @@ class AbstractSurface(AbstractWearMap):
         first = volume != 0, nothing, pressure
         return while_loop(lambda now: now[0], turn, first, (False, False, True))[1:]
 
-    def _level_in_turn(self, contact: Contact, depth: Depth) -> Scalar:
+    def _solve_level_cell_by_cell(self, contact: Contact, depth: Depth) -> Scalar:
         """Eccentricity [m] of the part once its volume is removed, as `loss` finds it."""
         target = contact.removed + contact.overlap
 
@@ -418,7 +434,7 @@ class AbstractSurface(AbstractWearMap):
             touched = self.touched(contact, jax.lax.stop_gradient(level))
             shared = functools.partial(self.in_columns, contact)
             sums = through(touched, self.cells, visit, nothing, False, shared)
-            near, level = _next_level(level, target, *sums)
+            near, level = _improve_level(level, target, *sums)
             return count + 1, jnp.where(near, turns - 1, turns), level
 
         first = jnp.zeros((), int), jnp.full((), LAST_STEPS), self.start(contact, depth)
@@ -503,14 +519,20 @@ class AbstractRound(AbstractSurface):
         return rounding / level + 2.0 * sine * (1.0 + (0.5 * jnp.pi - 1.0) * sine * sine)
 
     def columns_within(self, middle: Scalar, reach: Scalar, all_around: Any) -> tuple[Any, Any]:
-        """(first column, how many) within so many columns of a place, or all."""
+        """(index of the first column, number of columns) within a distance of a place, or all.
+
+        Args:
+            middle: place around, in units of cells.
+            reach: distance to either side, in units of cells.
+            all_around: whether all columns count.
+        """
         first = -jnp.floor(reach - middle)
         columns = jnp.floor(middle + reach) - first + 1.0
         around = self.cells[0]
         return first, jnp.where(all_around, around, jnp.minimum(columns, around))
 
 
-def _next_level(
+def _improve_level(
     level: Scalar, target: Scalar, overlap: Scalar, slope: Scalar
 ) -> tuple[Array, Scalar]:
     """(whether an overlap [m3] at a level is near that wanted, the next level [m]); `slope` of the
@@ -528,9 +550,17 @@ def through(
     long: Any = False,
     shared_by: Callable[[Array], Any] = lambda column: None,
 ) -> Any:
-    """What `visit` (of what a column's cells share, the place of a cell, and what the visit before
-    has left) leaves in the end, once it has been at all cells of a map of so many `cells` that are
-    touched. `long` as of `while_loop`."""
+    """Visits all touched cells of a map, one after the other; returns what the last visit returns.
+
+    Args:
+        touched: range of columns and rows.
+        cells: numbers of cells of the map, around and along.
+            visit: function of what a column's cells share, the cell's (column, row), and the last
+            result.
+        first: in the place of a result, for the first visit.
+        long: as of `while_loop`, for `first`.
+        shared_by: function of a column that computes what its cells share; default: None.
+    """
     around, along = cells
     # A turn once for all: a remainder of whole numbers costs as much as a cell.
     first_column = touched.first % around
@@ -556,7 +586,13 @@ def entry(array: Array, place: tuple) -> Scalar:
 
 
 def with_entry(array: Array, place: tuple, value: Scalar) -> Array:
-    """The array with another value at one place."""
+    """The array with one entry replaced.
+
+    Args:
+        array: of any rank.
+        place: index along each axis; may be traced.
+        value: new entry.
+    """
     return jax.lax.dynamic_update_slice(array, jnp.reshape(value, (1,) * array.ndim), place)
 
 
@@ -573,8 +609,13 @@ def half_steps(columns: int) -> Float[np.ndarray, "steps 2"]:
 
 
 def block_row(table: Float[np.ndarray, "n m"], index: Int[Array, "*rows"], side: Scalar) -> Any:
-    """Columns of a table by half steps, where the centre of the block of an index (or of several)
-    lies."""
+    """Columns of a table at the centre of a block of cells.
+
+    Args:
+        table: tabulated by half cells, shape (2 cells, m).
+        index: of the block, or of several.
+        side: cells along one side of a block.
+    """
     centre = (2.0 * block_centre(index, side)).astype(int)
     rows = table_rows(table, centre)
     return tuple(rows[..., k] for k in range(table.shape[1]))
@@ -607,6 +648,11 @@ def edge_depth(last: Array, inside: Array) -> Array:
 
 
 def spline(place: Scalar, left: Scalar, here: Scalar, right: Scalar) -> Scalar:
-    """A quadratic B-spline at a place, in cells from the nearest of three."""
+    """Value of a quadratic B-spline.
+
+    Args:
+        place: distance from the nearest of three knots, in cells, -0.5 to 0.5.
+        left, here, right: coefficients at the knots; `here` is the nearest.
+    """
     curvature = 0.5 * (left + right) - here
     return 0.125 * (left + 6.0 * here + right) + place * (0.5 * (right - left) + place * curvature)

@@ -235,7 +235,13 @@ class WallMap(AbstractSurface):
         return Touched.of(contact.column, 1.0, first, rows)
 
     def depth_at(self, depth: Array, side: int, place: Scalar) -> Scalar:
-        """Worn depth [m] of a wall (0 or 1) at a place along the guide [m]."""
+        """Worn depth [m] of a wall at a place along the guide.
+
+        Args:
+            depth: of each cell [m], shape (2, along).
+            side: which wall, 0 or 1.
+            place: along the guide [m].
+        """
         last = jnp.floor((self.cells[1] - 1) / self.coarseness)
         position = (self.row(place - self.middle) + 0.5) / self.coarseness - 0.5
         nearest = jnp.clip(jnp.round(position), 0.0, last)
@@ -251,7 +257,13 @@ class WallMap(AbstractSurface):
         return spline(position - nearest, before, here, right)
 
     def depth_at_end(self, depth: Array, side: int, end: int) -> Scalar:
-        """Worn depth [m] of a wall (0 or 1) at its lower (-1) or upper (1) end."""
+        """Worn depth [m] of a wall at one of its ends, extrapolated from the last cells.
+
+        Args:
+            depth: of each cell [m], shape (2, along).
+            side: which wall, 0 or 1.
+            end: -1 for the lower and 1 for the upper end.
+        """
         last = self.cells[1] - 1
         row, inside = (0, self.side) if end < 0 else (last, last - self.side)
         return edge_depth(*(entry(depth, (side, jnp.clip(k, 0, last))) for k in (row, inside)))

@@ -48,8 +48,16 @@ class Bounds(NamedTuple):
     def differences(
         self, run: Trajectory, one: Observed, other: Observed, finest: Observed
     ) -> list[Difference]:
-        """How far two runs are apart, by answer, beside the `finest`; `run`: the one that is
-        judged. Raises `ValueError` for a name that no answer has."""
+        """Differences of two runs, by answer.
+
+        Args:
+            run: the one that is judged, which names answers and units.
+            one, other: what is observed of the two runs.
+            finest: what is observed of the most accurate run, which scales the differences.
+
+        Raises:
+            ValueError: a bound names an answer that the run does not have.
+        """
         rows = differences(run, one.standard, other.standard, finest.standard)
         drawn = zip(self.responses, one.drawn, other.drawn, finest.drawn, strict=True)
         for (name, response), x, y, last in drawn:
@@ -75,7 +83,12 @@ class Bounds(NamedTuple):
         return most / row.scale if most is not None and row.scale > 0 else None
 
     def compare(self, run: Trajectory, one: Observed, other: Observed) -> dict[str, float]:
-        """By answer how far two runs are apart, beside what is allowed."""
+        """Differences of two runs as multiples of what is allowed, by answer.
+
+        Args:
+            run: the one that is judged, which names answers and units.
+            one, other: what is observed of the two runs.
+        """
         rows = ((row, self.allowed(row)) for row in self.differences(run, one, other, other))
         return {row.name: ratio_to_allowed(row.off, most) for row, most in rows if most is not None}
 
@@ -93,12 +106,12 @@ def bounds_of_run(accuracy: Any) -> Bounds:
     accuracies = checked_accuracy(accuracy, "simulate")
     if not isinstance(accuracies, dict):
         return Bounds(Promise(accuracies, None, accuracies, None, accuracies))
-    units = tuple((_called(name), most) for name, most in accuracies.items())
-    drawn = tuple((_called(name), name) for name in accuracies if not isinstance(name, str))
+    units = tuple((_name_of_answer(name), most) for name, most in accuracies.items())
+    drawn = tuple((_name_of_answer(name), name) for name in accuracies if not isinstance(name, str))
     return Bounds(NOTHING, units, drawn)
 
 
-def _called(answer: Any) -> str:
+def _name_of_answer(answer: Any) -> str:
     """The name of an answer: its own, or that of what draws it from a run."""
     if isinstance(answer, str):
         return answer

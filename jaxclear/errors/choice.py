@@ -75,18 +75,27 @@ class Rung(NamedTuple):
 def rungs_of(
     mechanism: Mechanism, times: np.ndarray, accepts: Callable[[AbstractIntegrator], None]
 ) -> list[Rung]:
-    """Rungs that solve the model of a mechanism as it is stated, for a run saved at these times
-    [s]; rigid contact only where no other takes it and no law is compliant. `accepts` raises
-    `ValueError` for an integrator that does not suit the mechanism, and so does this where none
-    does."""
-    first = _first(mechanism, times)
+    """Rungs that solve the model of a mechanism as it is stated.
+
+    Rigid contact is among them only where no other takes it and no law is compliant.
+
+    Args:
+        mechanism: of the run.
+        times: saving times [s].
+            accepts: function that raises `ValueError` for an integrator that does not suit the
+            mechanism.
+
+    Raises:
+        ValueError: no integrator suits.
+    """
+    first = _first_step(mechanism, times)
     rungs = [
         _controlled(mechanism),
         halving(ImplicitStep(first, rebound=1.0), mechanism),
         halving(FixedStep(first), mechanism),
     ]
-    suitable = [rung for rung in rungs if _suits(rung, accepts)]
-    if not suitable and _complies(mechanism):
+    suitable = [rung for rung in rungs if _is_suitable(rung, accepts)]
+    if not suitable and _has_elastic_law(mechanism):
         accepts(rungs[0].first)
     if not suitable:
         interval = float(np.min(np.diff(times)))
@@ -99,20 +108,30 @@ def rungs_of(
 def others_of(
     mechanism: Mechanism, times: np.ndarray, accepts: Callable[[AbstractIntegrator], None]
 ) -> tuple[list[Rung], list[Rung]]:
-    """Further rungs that solve the model of a mechanism as it is stated: of order 1, or with short
-    steps in contact alone; and those of other models of contact, rigid and permanent."""
-    first, interval = _first(mechanism, times), float(np.min(np.diff(times)))
+    """Further rungs: of the model as it is stated, and of other models of contact.
+
+    Args:
+        mechanism: of the run.
+        times: saving times [s].
+            accepts: function that raises `ValueError` for an integrator that does not suit the
+            mechanism.
+
+    Returns:
+            Rungs of order 1, or with short steps in contact alone; rungs with rigid and permanent
+        contact.
+    """
+    first, interval = _first_step(mechanism, times), float(np.min(np.diff(times)))
     rungs = [FixedStep(first, "semi_implicit")]
     models: list[AbstractIntegrator] = []
     if mechanism.topology.clearances:
         rungs.append(FixedStep(min(interval, SHORT_STEPS * first), contact_steps=SHORT_STEPS))
-    if _complies(mechanism):
+    if _has_elastic_law(mechanism):
         models = [
-            type(x)(min(_shortened(interval), float(x.step)))
+            type(x)(min(_next_shorter_step(interval), float(x.step)))
             for x in (MoreauJean(), NonColliding())
         ]
     halved = ([halving(x, mechanism) for x in each] for each in (rungs, models))
-    stated, other = ([rung for rung in each if _suits(rung, accepts)] for each in halved)
+    stated, other = ([rung for rung in each if _is_suitable(rung, accepts)] for each in halved)
     return stated, other
 
 
@@ -121,7 +140,7 @@ def halving(first: AbstractIntegrator, mechanism: Mechanism) -> Rung:
     return Rung(first, lambda setting: setting.with_finer_steps(HALF), first.evaluations(mechanism))
 
 
-def _suits(rung: Rung, accepts: Callable[[AbstractIntegrator], None]) -> bool:
+def _is_suitable(rung: Rung, accepts: Callable[[AbstractIntegrator], None]) -> bool:
     try:
         accepts(rung.first)
     except ValueError:
@@ -129,7 +148,7 @@ def _suits(rung: Rung, accepts: Callable[[AbstractIntegrator], None]) -> bool:
     return True
 
 
-def _complies(mechanism: Mechanism) -> bool:
+def _has_elastic_law(mechanism: Mechanism) -> bool:
     """Whether a contact of the mechanism has an elastic law."""
     joints = [mechanism.connections[name].joint for name in mechanism.topology.clearances]
     return any(laws.contact.compliant for joint in joints for laws in joint.contact_laws())
@@ -138,35 +157,35 @@ def _complies(mechanism: Mechanism) -> bool:
 def _controlled(mechanism: Mechanism) -> Rung:
     """Steps under error control."""
     usual = Adaptive()
-    first = usual if mechanism.topology.clearances else _at(LOOSEST)
+    first = usual if mechanism.topology.clearances else _adaptive_at(LOOSEST)
 
     def finer(setting):
         rtol = TIGHTER * float(setting.rtol)
-        return _at(rtol) if rtol > TIGHTEST * (1 - SLIVER) else None
+        return _adaptive_at(rtol) if rtol > TIGHTEST * (1 - SLIVER) else None
 
     return Rung(first, finer, usual.evaluations(mechanism), True, TIGHTER ** (-1 / ORDER))
 
 
-def _at(rtol: float) -> Adaptive:
+def _adaptive_at(rtol: float) -> Adaptive:
     return Adaptive(rtol=rtol, atol=ABSOLUTE * rtol)
 
 
-def _first(mechanism: Mechanism, times: np.ndarray) -> float:
+def _first_step(mechanism: Mechanism, times: np.ndarray) -> float:
     """The longest step [s] of a run saved at these times [s] that resolves its contacts."""
-    return min(float(np.min(np.diff(times))), _resolved(mechanism, times))
+    return min(float(np.min(np.diff(times))), _step_that_resolves_contact(mechanism, times))
 
 
-def _resolved(mechanism: Mechanism, times: np.ndarray) -> float:
+def _step_that_resolves_contact(mechanism: Mechanism, times: np.ndarray) -> float:
     """The longest step [s] that resolves a contact; endless where none may open and close."""
     if not mechanism.topology.clearances:
         return math.inf
     duration = float(times[-1] - times[0])
     rates = contact_rates(mechanism, duration, min(USUAL_STEP, duration)).values()
     fastest = max((rate.contact for rate in rates), default=0.0)
-    return _shortened(FIRST_SHARE / fastest) if fastest > 0 else math.inf
+    return _next_shorter_step(FIRST_SHARE / fastest) if fastest > 0 else math.inf
 
 
-def _shortened(step: float) -> float:
+def _next_shorter_step(step: float) -> float:
     """The next shorter length [s] of two digits, which is told as it is."""
     power = math.floor(math.log10(step)) - 1
     return float(f"{math.floor(step / 10.0**power)}e{power}")
@@ -246,14 +265,26 @@ def usual_work(times: np.ndarray) -> float:
 
 
 def is_usual_cheap(mechanism: Mechanism, again: Again, question: Question) -> bool:
-    """Whether a run by `Adaptive()` takes less than a choice may, of which it would be a part."""
+    """Whether a run by `Adaptive()` costs less than a choice of the integrator may.
+
+    Args:
+        mechanism: of the run.
+        again: repeats the run with an integrator over a share of its duration.
+        question: accuracy and saving times.
+    """
     rung = _controlled(mechanism)._replace(first=Adaptive())
     budget = PATIENCE * usual_work(question.times)
     return Search(again, question, budget).affords(rung, rung.first, [])
 
 
 def keeps_accuracy(run: Any, finer: Any, question: Question) -> bool:
-    """Whether a run is as accurate as asked, as one in half its steps tells."""
+    """Whether a run is as accurate as required, estimated from a run with half its steps.
+
+    Args:
+        run: trajectory that is judged.
+        finer: the same with half the step.
+        question: what is compared, and how accurate it must be.
+    """
     off = question.compare(run, question.observe(run), question.observe(finer))
     return all(float(richardson([each])) <= 1 for each in off.values())
 
@@ -261,9 +292,14 @@ def keeps_accuracy(run: Any, finer: Any, question: Question) -> bool:
 def choose_setting(
     rungs: list[Rung], again: Again, question: Question, budget: float | None = None
 ) -> Chosen:
-    """The cheapest setting of these rungs, of which the first is under error control if any is,
-    that keeps the accuracy; the most accurate one tried where none does within the `budget`
-    [evaluations of forces] (None: that of `budget_of`)."""
+    """The cheapest setting that keeps the accuracy; else the most accurate one tried.
+
+    Args:
+        rungs: families of settings; the first is under error control if any is.
+        again: repeats the run with an integrator over a share of its duration.
+        question: what is compared, and how accurate it must be.
+        budget: evaluations of forces that may be spent; None: `budget_of` the run.
+    """
     search = Search(again, question, budget)
     for rung in rungs:
         search.climb(rung)
@@ -318,45 +354,51 @@ class Search:
         first = 0
         following: AbstractIntegrator | None = rung.first
         while following is not None and self.affords(rung, following, settings[first:]):
-            settings.append(self._tried(rung, following))
+            settings.append(self._try_setting(rung, following))
             while first + 1 < len(settings):
-                one = self._judged(settings[first], settings[first + 1 : first + 3])
+                one = self._judge_setting(settings[first], settings[first + 1 : first + 3])
                 if one is None:
                     break
                 self.judged.append(one)
                 if one.error_ratio <= 1:
-                    self._keep(one, settings[-1])
+                    self._record_setting(one, settings[-1])
                     return
                 first += 1
             following = rung.finer(following)
-        self._leave(settings[first:])
+        self._judge_undecided(settings[first:])
 
-    def _leave(self, undecided: list[Tried]) -> None:
+    def _judge_undecided(self, undecided: list[Tried]) -> None:
         """What is left where another run cannot be had: one that does not agree by chance counts by
         what is known of it."""
         if len(undecided) < 2:
             return
-        one = self._with_errors(undecided[0], undecided[1:3])
+        one = self._add_errors(undecided[0], undecided[1:3])
         self.judged.append(one)
-        if one.error_ratio <= 1 and self._trusted(one):
-            self._keep(one, undecided[-1])
+        if one.error_ratio <= 1 and self._is_controlled_or_confirmed(one):
+            self._record_setting(one, undecided[-1])
 
-    def _trusted(self, one: Tried) -> bool:
+    def _is_controlled_or_confirmed(self, one: Tried) -> bool:
         """Whether a setting is under error control, or stands beside one that is."""
         return one.rung.controlled or self.reference is not None
 
     def affords(self, rung: Rung, setting: AbstractIntegrator, open_settings: list[Tried]):
-        """Whether a setting is worth a run, behind those that are not decided yet."""
+        """Whether a setting is worth a run, within the budget and the best work so far.
+
+        Args:
+            rung: its family.
+            setting: integrator with its steps.
+            open_settings: runs of the rung that are not decided yet.
+        """
         work = rung.work_before(setting, self.question.times)
         last = open_settings[-1].work if open_settings else None
         least_work = open_settings[0].work if open_settings else work
         if self.best is not None and least_work is not None and least_work >= self.best.work:
             return False
         if work is None:
-            work = self._foreseen(rung, setting) if last is None else rung.growth * last
+            work = self._predict_work(rung, setting) if last is None else rung.growth * last
         return self.spent + work <= self.budget
 
-    def _foreseen(self, rung: Rung, setting: AbstractIntegrator) -> float:
+    def _predict_work(self, rung: Rung, setting: AbstractIntegrator) -> float:
         """Work of a run that finds its steps itself, from runs of longer and longer first parts,
         until one shows that it is too dear; steps that end at saving times are as many in each."""
         saves = rung.evaluations * len(self.question.times)
@@ -369,20 +411,20 @@ class Search:
                 return math.inf
         return work
 
-    def _tried(self, rung: Rung, setting: AbstractIntegrator) -> Tried:
+    def _try_setting(self, rung: Rung, setting: AbstractIntegrator) -> Tried:
         run = self.again(setting, 1.0)
         work = rung.work_of(run)
         self.spent += work
         observed = self.question.observe(run) if run.succeeded else None
         return Tried(rung, setting, run if run.succeeded else None, observed, work, {})
 
-    def _judged(self, one: Tried, finer: list[Tried]) -> Tried | None:
+    def _judge_setting(self, one: Tried, finer: list[Tried]) -> Tried | None:
         """A setting with its error, as finer ones tell it; None where another one must."""
-        judged = self._with_errors(one, finer)
-        sure = judged.error_ratio <= DOUBT and self._trusted(one)
+        judged = self._add_errors(one, finer)
+        sure = judged.error_ratio <= DOUBT and self._is_controlled_or_confirmed(one)
         return judged if len(finer) > 1 or sure or judged.error_ratio > 1 else None
 
-    def _with_errors(self, one: Tried, finer: list[Tried]) -> Tried:
+    def _add_errors(self, one: Tried, finer: list[Tried]) -> Tried:
         """A setting with its error, as far as finer ones and the reference tell it."""
         if one.run is None or any(each.run is None for each in finer):
             return one
@@ -395,7 +437,7 @@ class Search:
         errors = {name: math.inf if math.isnan(error) else error for name, error in errors.items()}
         return one._replace(errors=errors)
 
-    def _keep(self, one: Tried, finest: Tried) -> None:
+    def _record_setting(self, one: Tried, finest: Tried) -> None:
         if self.best is None or one.work < self.best.work:
             self.best = one
         if one.rung.controlled and self.reference is None:

@@ -145,9 +145,9 @@ class Verified(AbstractVerification):
             return Estimate(value, math.nan, "the answer is no number")
         if not all(is_traced(e) or np.all(np.isfinite(e)) for e in jax.tree.leaves(error)):
             return Estimate(value, error, "the answer is not finite, there or in finer steps")
-        return Estimate(value, error, self._how())
+        return Estimate(value, error, self._how_estimated())
 
-    def _how(self) -> str:
+    def _how_estimated(self) -> str:
         steps = "half the step" if len(self.replicas) == 1 else "half and a quarter of the step"
         began = not is_traced(self.since) and self.since != 0
         since = f", since {float(self.since):.6g} s" if began else ""
@@ -176,7 +176,7 @@ class Verified(AbstractVerification):
             table[f"{head} [%]"] = [float(f"{part:.2g}") for part in parts]
         marks = [of(t) for t in self.entries]
         table = table.assign(remark=marks) if any(marks) else table
-        return table, f"Error estimate: {self._how()}. {self.why}".rstrip()
+        return table, f"Error estimate: {self._how_estimated()}. {self.why}".rstrip()
 
 
 class Failed(AbstractVerification):
@@ -223,11 +223,11 @@ def factors_of_cells(run: Trajectory) -> dict[str, Any]:
     factors = {f"{joint}, {surface}": 1.0 for joint, ks in run.worn.items() for surface in ks}
     if not factors or is_traced((run.states, run.worn, run.invariants)):
         return factors
-    return factors | {place: float(x) for place, x in _factors_of_scars(run).items()}
+    return factors | {place: float(x) for place, x in _cell_factors(run).items()}
 
 
 @compiled_quickly
-def _factors_of_scars(run: Trajectory) -> dict[str, Any]:
+def _cell_factors(run: Trajectory) -> dict[str, Any]:
     factors: dict[str, Any] = {}
     wearing, figures = wearing_in(run.mechanism), run.invariants.figures
     narrow = jnp.max(figures[Check.WEAR_BY_CELLS].worst) if Check.WEAR_BY_CELLS in figures else 0.0
@@ -246,14 +246,22 @@ def _factors_of_scars(run: Trajectory) -> dict[str, Any]:
 
 
 def factor_of_cells(surface: AbstractSurface, features: Any, depth: Any, narrow: Any) -> Any:
-    """The error that cells leave in a depth, relative to what cells twice as wide change, by the
-    mean `features` of what wore the surface, its `depth` [m] and how `narrow` its scar is
-    (`Check.WEAR_BY_CELLS`).
+    """Error that cells leave in a worn depth, over the change when cells are twice as wide.
 
-    It is that of order 2, of a narrow scar that of order 1. Scars of flat faces have edges, which
-    lie anywhere in cells, so that two numbers of cells agree by chance: Roache's factor of safety,
-    3, on order 1. A contact narrower than its cells has been widened to them, and depths go with
-    one over each of its widths, of which fourth powers add up: those of the contact and of cells.
+    It is that of order 2; of a narrow scar that of order 1. Scars of flat faces have edges anywhere
+    in a
+    cell, so two resolutions agree by chance: there Roache's factor of safety, 3, on order 1. A
+    contact
+    narrower than its cells has been widened to them, and depths go with one over each of its
+    widths, of
+    which fourth powers add up.
+
+    Args:
+        surface: with its cells.
+        features: means of what wore the surface, such as the direction.
+        depth: worn depth of each cell [m].
+        narrow: how narrow the scar is (`Check.WEAR_BY_CELLS`).
+
     Source: Roache 1994, J. Fluids Eng. 116, 405, doi:10.1115/1.2910291.
     """
     resolved = jnp.where(narrow <= Check.WEAR_BY_CELLS.limit, 1 / 3, 1.0)

@@ -79,15 +79,15 @@ def films_of(run: Trajectory) -> dict[str, str]:
 
 def means_of(run: Trajectory) -> tuple[str, ...]:
     """Couplings whose mean is a standard answer: saving times tell of those that never part."""
-    return tuple(n for n in _coupled(run) if not run.mechanism.couplings[n].play)
+    return tuple(n for n in _determined_couplings(run) if not run.mechanism.couplings[n].play)
 
 
 def peaks_of(run: Trajectory) -> tuple[str, ...]:
     """Couplings whose peak is one: where forces are no means."""
-    return () if run.formulation.forces_are_means else _coupled(run)
+    return () if run.formulation.forces_are_means else _determined_couplings(run)
 
 
-def _coupled(run: Trajectory) -> tuple[str, ...]:
+def _determined_couplings(run: Trajectory) -> tuple[str, ...]:
     """Couplings that loops determine, but for motors that turn with a joint: what these transmit is
     worked out from accelerations alone, which takes long to compile."""
     topology = run.mechanism.topology
@@ -124,7 +124,7 @@ class Difference(NamedTuple):
         return self.off / self.scale if self.scale > 0 else (0.0 if self.off == 0 else np.inf)
 
 
-def _observed(run: Trajectory) -> Observables:
+def _observe_run(run: Trajectory) -> Observables:
     history, model = run.history, run.history.model()
     system, duration = model.system, run.time[-1] - run.time[0]
 
@@ -143,9 +143,9 @@ def _observed(run: Trajectory) -> Observables:
         }
         forces = [wrench_in_joint(of_film, joint).force for joint, of_film in rows.items()]
         films_at = tuple(safe_sqrt(jnp.asarray(sp.dot(x, x), float)) for x in forces)
-        return centres, axes, _in_gaps(now), sent_at(history, now, coupled), films_at
+        return centres, axes, _positions_in_gaps(now), sent_at(history, now, coupled), films_at
 
-    coupled, films = _coupled(run), films_of(run)
+    coupled, films = _determined_couplings(run), films_of(run)
     *moved, sent, filmed = over_time(history, at)
     centres, axes, inside = (
         columns(each) if each else jnp.zeros((len(run.time), 0, k))
@@ -193,10 +193,10 @@ def _observed(run: Trajectory) -> Observables:
 
 
 # Compiled once for all runs of a kind.
-observed = compiled_quickly(_observed, AROUND_A_KERNEL)
+observed = compiled_quickly(_observe_run, AROUND_A_KERNEL)
 
 
-def _in_gaps(now: Instant) -> tuple:
+def _positions_in_gaps(now: Instant) -> tuple:
     """Where each contact's parts are in their gap, beside its width: the vector from the middle
     along which it closes, in the bearing's axes."""
     shares: list[Any] = []
@@ -214,18 +214,22 @@ def _in_gaps(now: Instant) -> tuple:
 def differences(
     run: Trajectory, one: Observables, other: Observables, finest: Observables
 ) -> list[Difference]:
-    """How far two runs are apart, by answer; `run`: the first of them, which is judged and whose
-    names are told; `finest`: the run that is nearest to what answers are, beside which they are
-    judged."""
-    one, other, finest = (Observables(*map(_numbers, each)) for each in (one, other, finest))
+    """Differences of two runs in the standard answers.
+
+    Args:
+        run: the one that is judged, which names joints and bodies.
+        one, other: what is observed of the two runs.
+        finest: what is observed of the most accurate run, which scales the differences.
+    """
+    one, other, finest = (Observables(*map(_as_arrays, each)) for each in (one, other, finest))
     widest = 0.0 if one.rooms is None else float(np.max(np.asarray(one.rooms), initial=0.0))
     arm = float(one.arm)
     shift, longest = (_largest_displacement(each.centres) for each in (one, finest))
-    angle, most = (_angle(each.axes, each.axes[:1]) for each in (one, finest))
+    angle, most = (_largest_angle(each.axes, each.axes[:1]) for each in (one, finest))
     length_scale = max(longest, GAPS * widest, AT_REST * arm)
     angles = max(most, GAPS * widest / arm if arm > 0 else 0.0, AT_REST)
     off = float(np.max(np.abs(one.centres - other.centres), initial=0.0))
-    angle_off = _angle(one.axes, other.axes)
+    angle_off = _largest_angle(one.axes, other.axes)
     rows = [
         Difference("places of bodies", "places", "", "m", shift, off, length_scale),
         Difference("orientation of bodies", "places", "", "rad", angle, angle_off, angles),
@@ -279,14 +283,14 @@ def _largest_displacement(history: Any) -> float:
     return float(np.max(np.abs(history - history[:1]), initial=0.0))
 
 
-def _angle(one: Any, other: Any) -> float:
+def _largest_angle(one: Any, other: Any) -> float:
     """The largest angle [rad] between axes."""
     squares = np.sum(np.square(np.asarray(one) - np.asarray(other)), axis=-1)
     half = np.sqrt(np.max(squares, initial=0.0) / 8)
     return float(2 * np.arcsin(np.minimum(half, 1.0)))
 
 
-def _numbers(values: Any) -> Any:
+def _as_arrays(values: Any) -> Any:
     return None if values is None else np.asarray(values)
 
 

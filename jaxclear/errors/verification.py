@@ -54,8 +54,13 @@ class Replica(NamedTuple):
 
 
 def replica(integrator: AbstractIntegrator, times: Any, share: float) -> Replica | None:
-    """How a run that is saved at these times [s] is repeated with steps of this share, one of a
-    whole number; None where the integrator knows no finer steps."""
+    """How a run is repeated with finer steps; None where the integrator has none.
+
+    Args:
+        integrator: of the run.
+        times: its saving times [s].
+        share: ratio of the steps to those of the run, one over a whole number.
+    """
     finer = round(1 / share)
     if integrator.steps_between_saves is not None:
         return Replica(integrator, refine_times(times, finer), finer)
@@ -98,11 +103,11 @@ def thin_run(run: Trajectory, every: int) -> Trajectory:
         states=history.states[::every],
         read=jax.tree.map(lambda depths: depths[::every], history.read),
     )
-    noted = None if run.noted is None else _joined(run.noted, every)
+    noted = None if run.noted is None else _join_intervals(run.noted, every)
     return dataclasses.replace(run, history=sparse, noted=noted)
 
 
-def _joined(noted: Events, every: int) -> Events:
+def _join_intervals(noted: Events, every: int) -> Events:
     """The events of so many saving intervals at a time, of each contact the first ones."""
     counts = np.asarray(noted.counts)
     most = noted.times.shape[-1]
@@ -131,19 +136,24 @@ def verify_run(
     verify: bool | None,
     bounds: Bounds | None = None,
 ) -> Trajectory:
-    """The run with what its replicas tell; `again(replica, moved)`: the same run as that
-    `Replica` is made, its start moved by so much. `verify`: whether replicas are run (None: where
-    they take seconds at the most). `asked`: the accuracy (None: what the integrator promises). What
-    goes wrong in replicas, Ctrl-C too, leaves the run as it is."""
+    """The run with what its replicas tell; an error or Ctrl-C in replicas leaves the run as it is.
+
+    Args:
+        run: trajectory that is verified.
+        integrator: of the run.
+        again: `again(replica, moved)`: the same run as the `Replica` says, from a shifted start.
+        verify: whether replicas are run; None: where they take seconds at most.
+        bounds: required accuracy; None: what the integrator promises.
+    """
     bounds = Bounds(integrator.promise) if bounds is None else bounds
-    why = _why_not(run, verify)
+    why = _why_unverified(run, verify)
     # Worn depths hang on updates and cells, which nothing but replicas looks at.
     warns = why == LONG and bool(run.worn)
-    verification: AbstractVerification = Unverified(_and_chosen(why, bounds), warns)
+    verification: AbstractVerification = Unverified(_with_choice_reason(why, bounds), warns)
     if not why:
         try:
             with stoppable():
-                verification = _verification(run, integrator, again, bounds)
+                verification = _verify_by_replicas(run, integrator, again, bounds)
         except KeyboardInterrupt:
             verification = Unverified("interrupted")
         except (MemoryError, jax.errors.JaxRuntimeError) as error:
@@ -152,11 +162,11 @@ def verify_run(
     return with_fields(run, verification=verification)
 
 
-def _and_chosen(why: str, bounds: Bounds) -> str:
+def _with_choice_reason(why: str, bounds: Bounds) -> str:
     return f"{why}. {bounds.why.removesuffix('.')}" if bounds.why else why
 
 
-def _verification(
+def _verify_by_replicas(
     run: Trajectory,
     integrator: AbstractIntegrator,
     again: Callable[..., Trajectory],
@@ -183,12 +193,12 @@ def _verification(
         finer.append(bounds.observe(replicas[-1]))
         pairs = (bounds.differences(run, coarse, other, finer[-1]) for other in finer)
         rows = list(zip(*pairs, strict=True))
-        promised = np.array([_number(bounds.tolerance(row[-1])) for row in rows])
+        promised = np.array([_number_or_nan(bounds.tolerance(row[-1])) for row in rows])
         shares = np.array([float(richardson([each.share for each in row])) for row in rows])
         if not np.any(~np.isnan(promised) & ~(shares <= DOUBT * promised)):
             break
     errors = [float(richardson([each.off for each in row])) for row in rows]
-    coarser = _on_coarser_cells(run, integrator, repeated)
+    coarser = _run_on_coarser_cells(run, integrator, repeated)
     if coarser is not None:
         rows_of_cells = bounds.differences(run, coarse, bounds.observe(coarser), finer[-1])
         shares_of_cells = factors_of_cells(run)
@@ -225,7 +235,7 @@ def _verification(
     return Verified(companions, numbers, chaotic, path, *ends, coarser=coarser)
 
 
-def _on_coarser_cells(
+def _run_on_coarser_cells(
     run: Trajectory, integrator: AbstractIntegrator, repeated: Callable[[Replica], Trajectory]
 ) -> Trajectory | None:
     """The run on worn surfaces whose cells are twice as wide; None where none has cells that a loss
@@ -242,11 +252,11 @@ def _counting(integrator: AbstractIntegrator, rooms: Any, arm: Any) -> AbstractI
     return integrator.counting_in(narrowest(rooms, arm), arm)
 
 
-def _number(promised: float | None) -> float:
+def _number_or_nan(promised: float | None) -> float:
     return math.nan if promised is None else promised
 
 
-def _why_not(run: Trajectory, verify: bool | None) -> str:
+def _why_unverified(run: Trajectory, verify: bool | None) -> str:
     """Why a run has no replicas; "" where it is to have some."""
     if verify is False:
         return "verify=False"

@@ -42,13 +42,29 @@ class AbstractForm(ABC):
 
     @abstractmethod
     def read(self, node: Node, path: str, folder: Path) -> Any:
-        """What a value of a file is. `path`: its place in the file; `folder`: where files that it
-        names are. Raises `Misread` with a sentence."""
+        """What a value of a file is.
+
+        Args:
+            node: the value with its line.
+            path: its place in the file, for messages.
+            folder: in which files that it names are.
+
+        Raises:
+            Misread: it is not of this form.
+        """
 
     @abstractmethod
     def plain(self, thing: Any, path: str, mechanism: Mechanism) -> Any:
-        """A thing as dictionaries, lists, texts and numbers. `path`: what it is called;
-        `mechanism`: that in which variables point. Raises `ValueError` with a sentence."""
+        """A thing as dictionaries, lists, texts and numbers.
+
+        Args:
+            thing: value of an argument.
+            path: what it is called in messages.
+            mechanism: in which variables point.
+
+        Raises:
+            ValueError: it cannot be written to a file.
+        """
 
     @abstractmethod
     def schema(self, defs: dict[str, Schema]) -> Schema:
@@ -76,7 +92,7 @@ class Number(AbstractForm):
         return as_float(node, path)
 
     def plain(self, thing: Any, path: str, mechanism: Mechanism) -> Any:
-        return _float(thing, path)
+        return _as_float(thing, path)
 
     def schema(self, defs: dict[str, Schema]) -> Schema:
         return NUMBER | _field_schema(self.metadata)
@@ -111,7 +127,7 @@ class Numbers(AbstractForm):
     def plain(self, thing: Any, path: str, mechanism: Mechanism) -> Any:
         if not isinstance(thing, (tuple, list)):
             refuse(path, f"is {described(thing)}, where a file holds numbers.")
-        values = [_float(entry, path) for entry in thing]
+        values = [_as_float(entry, path) for entry in thing]
         return values[0] if len(values) == 1 else values
 
     def schema(self, defs: dict[str, Schema]) -> Schema:
@@ -343,7 +359,7 @@ def refuse(path: str, sentence: str) -> NoReturn:
     raise ValueError(f"{path} {sentence}")
 
 
-def _float(thing: Any, path: str) -> float:
+def _as_float(thing: Any, path: str) -> float:
     if isinstance(thing, jax.core.Tracer):
         refuse(path, "is being traced; write it outside of jax.jit and derivatives.")
     if np.ndim(thing) != 0:

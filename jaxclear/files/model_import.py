@@ -60,7 +60,7 @@ def read_urdf(path: Any, *, floating: bool = False, stops: str = "steady") -> Me
     Raises:
         ValueError: if the file is invalid or has no body with mass.
     """
-    return _mechanism(compiled(path, floating=floating), stops)
+    return _build_mechanism(compiled(path, floating=floating), stops)
 
 
 @answering
@@ -100,10 +100,10 @@ def read_mjcf(
     Raises:
         ValueError: if the file is invalid, has no body with mass, or no such keyframe.
     """
-    return _mechanism(compiled(path, floating=floating), stops, keyframe)
+    return _build_mechanism(compiled(path, floating=floating), stops, keyframe)
 
 
-def _mechanism(read: Compiled, stops: str, keyframe: str | None = None) -> Mechanism:
+def _build_mechanism(read: Compiled, stops: str, keyframe: str | None = None) -> Mechanism:
     check_name("stops", stops, STOPS)
     model = read.model
     bodies, joints = names_of(model)
@@ -115,14 +115,14 @@ def _mechanism(read: Compiled, stops: str, keyframe: str | None = None) -> Mecha
         missing.append(
             f"keyframes {listed(keyframes(model))} (read_mjcf(..., keyframe=...) starts)"
         )
-    _warn(read, "not taken over", missing, NotImported)
+    _warn_of(read, "not taken over", missing, NotImported)
     if not tree.bodies:
         raise ValueError(f"{read.name} has no body with mass.")
     loads = without_loads_on(dict(loads_of(model, joints, stops)), tuple(equal.fixed))
-    _warn(read, "gives way at rest", list_deflections(model, joints, loads), ImportedSoft)
+    _warn_of(read, "gives way at rest", list_deflections(model, joints, loads), ImportedSoft)
     if np.any(model.opt.gravity):
         loads["gravity"] = Gravity(tuple(map(float, model.opt.gravity)))
-    connections = _drive(tree.connections, equal.fixed) | equal.connections
+    connections = _hold(tree.connections, equal.fixed) | equal.connections
     # Where an equality holds a free body, its place is only near: the loop decides.
     free = tree.start | {name: initial[name] for name in tree.start if initial}
     start = {name: place for name, place in free.items() if name not in equal.free}
@@ -135,7 +135,7 @@ def _mechanism(read: Compiled, stops: str, keyframe: str | None = None) -> Mecha
     )
 
 
-def _drive(connections: dict[str, Connection], places: dict[str, float]) -> dict[str, Connection]:
+def _hold(connections: dict[str, Connection], places: dict[str, float]) -> dict[str, Connection]:
     """Connections some of whose joints are held at a coordinate [rad, m]."""
     changed = dict(connections)
     for name, place in places.items():
@@ -146,7 +146,7 @@ def _drive(connections: dict[str, Connection], places: dict[str, float]) -> dict
     return changed
 
 
-def _warn(read: Compiled, what: str, sentences: Iterable[str], kind: type[Warning]) -> None:
+def _warn_of(read: Compiled, what: str, sentences: Iterable[str], kind: type[Warning]) -> None:
     text = "; ".join(sentences)
     if text:
         warn(f"{read.name}: {what}: {text}.", kind)
@@ -156,7 +156,7 @@ def _warn(read: Compiled, what: str, sentences: Iterable[str], kind: type[Warnin
 SHAPES = {
     2: lambda size: solids.ball(size[0]),
     3: lambda size: solids.capsule(size[0], 2 * size[1]),
-    4: lambda size: _stretched(solids.ball(1.0), size),
+    4: lambda size: _stretch_solid(solids.ball(1.0), size),
     5: lambda size: solids.rod(size[0], 2 * size[1]),
     6: lambda size: solids.box(2 * size),
 }
@@ -217,14 +217,14 @@ def _of_body(model: Any, index: int, body: str, urdf: bool) -> Iterator[tuple[st
 
 
 def _mesh(model: Any, index: int) -> Triangles:
-    points = slice(*_span(model.mesh_vertadr[index], model.mesh_vertnum[index]))
-    corners = slice(*_span(model.mesh_faceadr[index], model.mesh_facenum[index]))
+    points = slice(*_index_range(model.mesh_vertadr[index], model.mesh_vertnum[index]))
+    corners = slice(*_index_range(model.mesh_faceadr[index], model.mesh_facenum[index]))
     return Triangles(np.array(model.mesh_vert[points], float), np.array(model.mesh_face[corners]))
 
 
-def _span(first: Any, count: Any) -> tuple[int, int]:
+def _index_range(first: Any, count: Any) -> tuple[int, int]:
     return int(first), int(first) + int(count)
 
 
-def _stretched(solid: Triangles, sizes: np.ndarray) -> Triangles:
+def _stretch_solid(solid: Triangles, sizes: np.ndarray) -> Triangles:
     return Triangles(solid.points * sizes, solid.corners)

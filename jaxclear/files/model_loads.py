@@ -74,7 +74,13 @@ def limit_is_soft(model: Any, k: int) -> Soft:
 
 
 def soft_of(model: Any, solref: np.ndarray, solimp: np.ndarray) -> Soft:
-    """What MuJoCo reads from a constraint's `solref` and `solimp`."""
+    """Numbers of a soft constraint as MuJoCo uses them.
+
+    Args:
+        model: MuJoCo's, with its options.
+        solref: time constant [s] and damping ratio, or both negative: stiffness and damping.
+        solimp: impedances, width, midpoint and power.
+    """
     first, last, middle = (float(np.clip(solimp[i], LEAST, MOST)) for i in (0, 1, 3))
     time, ratio = map(float, solref[:2])
     if (time > 0) != (ratio > 0):
@@ -91,7 +97,13 @@ def soft_of(model: Any, solref: np.ndarray, solimp: np.ndarray) -> Soft:
 
 
 def sag(soft: Soft, force: float, inertia: float) -> float:
-    """How far [rad, m] a limit gives way in MuJoCo under a force [N m, N] at rest."""
+    """Deflection [rad, m] of a limit in MuJoCo under a force at rest.
+
+    Args:
+        soft: numbers of the limit.
+        force: into the limit [N m, N]; 0 or less: no deflection.
+        inertia: along the coordinate [kg m2, kg].
+    """
     from scipy.optimize import brentq
 
     if not force > 0:
@@ -110,8 +122,13 @@ def pressing(model: Any, k: int) -> tuple[float, float]:
 
 
 def steady_force(model: Any, k: int, at: float) -> float:
-    """Force [N m, N] of weight and springs on the coordinate of a joint that stands still, in
-    MuJoCo's own count, the others in the reference configuration."""
+    """Force [N m, N] of weight and springs on the coordinate of a joint at rest, by MuJoCo.
+
+    Args:
+        model: MuJoCo's; other joints stand in its reference configuration.
+        k: index of the joint.
+        at: its coordinate in MuJoCo's count [rad, m].
+    """
     import mujoco
 
     data, dof = mujoco.MjData(model), model.jnt_dofadr[k]
@@ -134,7 +151,13 @@ STOPS = ("steady", "impact")
 def loads_of(
     model: Any, joints: list[str], stops: str = "steady"
 ) -> Iterator[tuple[str, AbstractLoad]]:
-    """Loads on the coordinates of a model's hinges and slides, by name."""
+    """Loads on the coordinates of a model's hinges and slides, with their names.
+
+    Args:
+        model: MuJoCo's.
+        joints: names by index.
+        stops: "steady": as soft as MuJoCo's limits under weight at rest; else as in an impact.
+    """
     stopped = has_stop(model)
     for k, name in enumerate(joints):
         if model.jnt_type[k] <= SPHERICAL:
@@ -149,11 +172,11 @@ def loads_of(
         if model.dof_frictionloss[dof] > 0:
             yield f"{name} friction", JointFriction(name, float(model.dof_frictionloss[dof]))
         if stopped[k]:
-            yield f"{name} limits", _stop(model, k, name, stops)
+            yield f"{name} limits", _make_stop(model, k, name, stops)
 
 
-def _stop(model: Any, k: int, name: str, stops: str) -> JointStop:
-    soft, inertia = limit_is_soft(model, k), _inertia(model, k)
+def _make_stop(model: Any, k: int, name: str, stops: str) -> JointStop:
+    soft, inertia = limit_is_soft(model, k), _joint_inertia(model, k)
     margin, origin = float(model.jnt_margin[k]), float(model.qpos0[model.jnt_qposadr[k]])
     low, high = (float(x) - origin for x in model.jnt_range[k])
     stiffness = impact = inertia * soft.last**2 * soft.stiffness
@@ -173,7 +196,7 @@ def _stop(model: Any, k: int, name: str, stops: str) -> JointStop:
     )
 
 
-def _inertia(model: Any, k: int) -> float:
+def _joint_inertia(model: Any, k: int) -> float:
     """That of a hinge's or slide's coordinate in the reference configuration [kg m^2, kg]."""
     return 1 / float(model.dof_invweight0[model.jnt_dofadr[k]])
 
@@ -187,8 +210,13 @@ class Deflection(NamedTuple):
 
 
 def list_deflections(model: Any, joints: list[str], loads: dict[str, Any]) -> Iterator[str]:
-    """Limits that give way under weight and springs by more than a share of their width, in
-    words."""
+    """Sentences for limits that deflect too far under weight and springs, beside their width.
+
+    Args:
+        model: MuJoCo's.
+        joints: names by index.
+        loads: by name, with the stops (`loads_of`).
+    """
     for k, name in enumerate(joints):
         stop = loads.get(f"{name} limits")
         if stop is not None:
@@ -197,7 +225,7 @@ def list_deflections(model: Any, joints: list[str], loads: dict[str, Any]) -> It
 
 
 def _stop_deflections(model: Any, k: int, name: str, stop: JointStop, unit: str) -> Iterator[str]:
-    soft, inertia = limit_is_soft(model, k), _inertia(model, k)
+    soft, inertia = limit_is_soft(model, k), _joint_inertia(model, k)
     spring: Any = stop.stiffness
     stiffness = float(spring)
     deflections = [
@@ -212,9 +240,9 @@ def _stop_deflections(model: Any, k: int, name: str, stop: JointStop, unit: str)
             there = "as in MuJoCo" if same else f"in MuJoCo by {d.there:.3g} {unit}"
             yield (
                 f'limits of "{name}" by {d.here:.3g} {unit} ({d.here / width:.2g} of their '
-                f"width) under {_force(d.force, unit)}, {there}"
+                f"width) under {_format_force(d.force, unit)}, {there}"
             )
 
 
-def _force(force: float, unit: str) -> str:
+def _format_force(force: float, unit: str) -> str:
     return f"{force:.3g} {'N' if unit == 'm' else 'N m'}"

@@ -92,12 +92,12 @@ class Tree:
         # The body of which one is a part, and where it stands in it.
         self.part: list[tuple[int, Place]] = [(0, HERE)]
         self.inertias = [_inertia_of(model, index) for index in range(model.nbody)]
-        self._merge()
+        self._merge_welded_bodies()
         for index in range(1, model.nbody):
             if self.part[index][0] == index:
-                self._add(index)
+                self._add_body(index)
 
-    def _merge(self) -> None:
+    def _merge_welded_bodies(self) -> None:
         """Welded bodies that are none by themselves, or hold what is none, become parts."""
         model = self.model
         for index in range(1, model.nbody):
@@ -113,7 +113,7 @@ class Tree:
             else:
                 self.part.append((index, HERE))
 
-    def _add(self, index: int) -> None:
+    def _add_body(self, index: int) -> None:
         """A body with its connections."""
         model, name, inertia = self.model, self.names[index], self.inertias[index]
         if not inertia.is_body:
@@ -132,12 +132,12 @@ class Tree:
         for k in joints:
             child = name if k == joints[-1] else f"{self.joints[k]} carrier"
             if child != name:
-                self.bodies[child] = _carrier(inertia)
-            self._connect(k, parent, place, child)
+                self.bodies[child] = _make_carrier_body(inertia)
+            self._add_joint(k, parent, place, child)
             parent, place = child, HERE
         self.bodies[name] = inertia.body()
 
-    def _connect(self, k: int, parent: str, place: Place, child: str) -> None:
+    def _add_joint(self, k: int, parent: str, place: Place, child: str) -> None:
         """A joint between a parent, in which the child stands at `place` by reference, and a
         child."""
         model, joint = self.model, JOINTS[self.model.jnt_type[k]]()
@@ -147,7 +147,7 @@ class Tree:
             start = model.qpos0[model.jnt_qposadr[k] :][:7]
             self.start[name] = tuple(map(float, start))
             return
-        turn = np.eye(3) if model.jnt_type[k] == SPHERICAL else _with_z(model.jnt_axis[k])
+        turn = np.eye(3) if model.jnt_type[k] == SPHERICAL else _rotation_to_axis(model.jnt_axis[k])
         axis = Place(turn, at)
         outer = place.after(axis)
         self.connections[name] = Connection(joint, marker_at(parent, outer), marker_at(child, axis))
@@ -165,7 +165,7 @@ def _inertia_of(model: Any, index: int) -> Inertia:
     return Inertia(float(model.body_mass[index]), np.array(model.body_ipos[index]), matrix)
 
 
-def _carrier(inertia: Inertia) -> Body:
+def _make_carrier_body(inertia: Inertia) -> Body:
     """What stands between two joints of a body."""
     moment = SHARE_BETWEEN * float(np.linalg.eigvalsh(inertia.matrix)[-1])
     return Body(SHARE_BETWEEN * inertia.mass, (moment, moment, moment))
@@ -203,7 +203,7 @@ def quaternion_of(rotation: np.ndarray) -> tuple[float, ...]:
     return (float(w), float(x), float(y), float(z))
 
 
-def _with_z(axis: np.ndarray) -> np.ndarray:
+def _rotation_to_axis(axis: np.ndarray) -> np.ndarray:
     """A rotation that takes z to an axis, by the least turn."""
     x, y, z = axis / np.linalg.norm(axis)
     if z < -1 + 1e-12:
@@ -244,18 +244,18 @@ def equalities_of(model: Any, tree: Tree) -> Equalities:
     out = Equalities({}, {}, {}, [], set(), {})
     taken = [*tree.names, *tree.joints, *tree.connections]
     for k in range(model.neq):
-        label, kind = model.eq(k).name or _unnamed(model, tree, k), KINDS[model.eq_type[k]]
+        label, kind = model.eq(k).name or _name_of_equality(model, tree, k), KINDS[model.eq_type[k]]
         name = free_name(label, [*taken, *out.connections, *out.couplings], " equality")
         if not model.eq_active0[k] or kind not in ("connect", "weld", "joint"):
-            out.missing.append(_in_words(model, k, name, tree.joints))
+            out.missing.append(_describe_equality(model, k, name, tree.joints))
         elif kind == "joint":
-            _couple(out, model, tree, name, k)
+            _add_coupling(out, model, tree, name, k)
         else:
-            _hold(out, model, tree, name, k)
+            _add_connection(out, model, tree, name, k)
     return out
 
 
-def _unnamed(model: Any, tree: Tree, k: int) -> str:
+def _name_of_equality(model: Any, tree: Tree, k: int) -> str:
     """What an equality without a name is called: of joints, as URDF's `mimic`, by these."""
     kind, follower, leader = KINDS[model.eq_type[k]], model.eq_obj1id[k], model.eq_obj2id[k]
     if kind != "joint":
@@ -263,13 +263,13 @@ def _unnamed(model: Any, tree: Tree, k: int) -> str:
     return f"{tree.joints[follower]} " + (f"by {tree.joints[leader]}" if leader >= 0 else "held")
 
 
-def _couple(out: Equalities, model: Any, tree: Tree, name: str, k: int) -> None:
+def _add_coupling(out: Equalities, model: Any, tree: Tree, name: str, k: int) -> None:
     """Puts an equality of joints into what was found; both coordinates count from the reference
     configuration there, too."""
     follower, leader = (int(ids[k]) for ids in (model.eq_obj1id, model.eq_obj2id))
     offset, ratio, *bent = map(float, model.eq_data[k][:5])
     if leader >= 0 and any(bent):
-        out.missing.append(_in_words(model, k, name, tree.joints))
+        out.missing.append(_describe_equality(model, k, name, tree.joints))
         return
     if leader >= 0 and ratio:
         joints = tree.joints[follower], tree.joints[leader]
@@ -284,12 +284,12 @@ def _couple(out: Equalities, model: Any, tree: Tree, name: str, k: int) -> None:
         )
 
 
-def _ends(model: Any, k: int) -> tuple[End, End]:
+def _ends_of_equality(model: Any, k: int) -> tuple[End, End]:
     import mujoco
 
     one, other, data = int(model.eq_obj1id[k]), int(model.eq_obj2id[k]), model.eq_data[k]
     if model.eq_objtype[k] == mujoco.mjtObj.mjOBJ_SITE:
-        return _site(model, one), _site(model, other)
+        return _end_at_site(model, one), _end_at_site(model, other)
     first, second = np.array(data[:3]), np.array(data[3:6])
     if KINDS[model.eq_type[k]] == "connect":
         return End(one, Place(np.eye(3), first)), End(other, Place(np.eye(3), second))
@@ -297,20 +297,20 @@ def _ends(model: Any, k: int) -> tuple[End, End]:
     return End(one, rotated), End(other, Place(np.eye(3), first))
 
 
-def _site(model: Any, index: int) -> End:
+def _end_at_site(model: Any, index: int) -> End:
     place = Place(rotation_of(model.site_quat[index]), np.array(model.site_pos[index]))
     return End(int(model.site_bodyid[index]), place)
 
 
-def _hold(out: Equalities, model: Any, tree: Tree, name: str, k: int) -> None:
+def _add_connection(out: Equalities, model: Any, tree: Tree, name: str, k: int) -> None:
     """Puts a connection between two ends, and what has to be said of it, into what was found."""
-    ends = _ends(model, k)
+    ends = _ends_of_equality(model, k)
     (parent, outer), (child, inner) = (tree.locate(end.body, end.place) for end in ends)
     # A weld whose torques count nothing holds a point only.
     turns = KINDS[model.eq_type[k]] == "connect" or model.eq_data[k][10] == 0
     kind, joint = ("connect", Spherical()) if turns else ("weld", Fixed())
     gap, rotation = _measure_gap(model, ends)
-    turn = 0.0 if turns else _angle(rotation)
+    turn = 0.0 if turns else _rotation_angle(rotation)
     far = gap > OPEN * model.stat.extent or turn > OPEN
     if parent == child:
         note = ", which it does not close" if far else ""
@@ -342,7 +342,7 @@ def _measure_gap(model: Any, ends: tuple[End, End]) -> tuple[float, np.ndarray]:
     return float(np.linalg.norm(one.origin - other.origin)), one.rotation.T @ other.rotation
 
 
-def _angle(turn: np.ndarray) -> float:
+def _rotation_angle(turn: np.ndarray) -> float:
     """How far a rotation turns [rad]."""
     axis = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
     return float(np.arctan2(np.linalg.norm(axis), np.trace(turn) - 1))
@@ -359,17 +359,17 @@ def _free_joints(model: Any, tree: Tree, body: int) -> list[str]:
     return names
 
 
-def _in_words(model: Any, k: int, name: str, joints: list[str]) -> str:
+def _describe_equality(model: Any, k: int, name: str, joints: list[str]) -> str:
     """An equality that is not built: of one between joints with its polynomial."""
     idle, kind = "" if model.eq_active0[k] else ", not active", KINDS[model.eq_type[k]]
     if kind != "joint":
         return f'equality "{name}" ({kind}{idle})'
     one, other = int(model.eq_obj1id[k]), int(model.eq_obj2id[k])
-    terms = [f"{x:.6g}{_power(i)}" for i, x in enumerate(model.eq_data[k][:5]) if x]
+    terms = [f"{x:.6g}{_power_text(i)}" for i, x in enumerate(model.eq_data[k][:5]) if x]
     law = " + ".join(terms) or "0"
     of = f', x that of "{joints[other]}"' if other >= 0 else ""
     return f'equality "{name}" (coordinate of "{joints[one]}" = {law}{of}{idle})'
 
 
-def _power(i: int) -> str:
+def _power_text(i: int) -> str:
     return ("", " x", " x^2", " x^3", " x^4")[i]

@@ -30,9 +30,17 @@ class Compiled(NamedTuple):
 
 
 def compiled(path: Any, *, floating: bool, visible: bool = False) -> Compiled:
-    """The model in a file of URDF or MJCF. `floating`: bodies that stand in the ground without a
-    joint, the roots, get a free one. `seen`: with geometries that are only seen. Raises
-    `ValueError` with a sentence, `ImportError` without MuJoCo."""
+    """The model in a file of URDF or MJCF, as MuJoCo compiles it.
+
+    Args:
+        path: of the file.
+        floating: whether root bodies without a joint get a free one.
+        visible: whether geometries that are only for display are read too.
+
+    Raises:
+        ValueError: MuJoCo cannot read the file.
+        ImportError: MuJoCo is not installed.
+    """
     check_flags("the import", floating=floating)
     if importlib.util.find_spec("mujoco") is None:
         raise ImportError(
@@ -49,13 +57,13 @@ def compiled(path: Any, *, floating: bool, visible: bool = False) -> Compiled:
     before, warned = mujoco.get_mju_user_warning(), dict[str, None]()
     mujoco.set_mju_user_warning(lambda message: warned.setdefault(" ".join(str(message).split())))
     try:
-        spec = _with_visuals(path) if visible else mujoco.MjSpec.from_file(str(path))
+        spec = _spec_with_visuals(path) if visible else mujoco.MjSpec.from_file(str(path))
         # Welded bodies keep their names.
         spec.compiler.fusestatic = False
         if floating:
-            _float(spec)
-        result = _compiled(spec, path.name)
-        _switch_off(result.model)
+            _add_free_joints(spec)
+        result = _compile_spec(spec, path.name)
+        _remove_disabled(result.model)
         return result._replace(warned=tuple(warned))
     except (ValueError, mujoco.FatalError, UnicodeError, OSError) as error:
         message = " ".join(str(error).split()).rstrip(".")
@@ -64,7 +72,7 @@ def compiled(path: Any, *, floating: bool, visible: bool = False) -> Compiled:
         mujoco.set_mju_user_warning(before)
 
 
-def _with_visuals(path: Path) -> Any:
+def _spec_with_visuals(path: Path) -> Any:
     """The file's content with a URDF's visual geometries, which are dropped unless it says no."""
     import mujoco
 
@@ -77,13 +85,13 @@ def _with_visuals(path: Path) -> Any:
     return spec
 
 
-def _float(spec: Any) -> None:
+def _add_free_joints(spec: Any) -> None:
     for body in spec.worldbody.bodies:
         if not list(body.joints):
             body.add_freejoint()
 
 
-def _compiled(spec: Any, name: str) -> Compiled:
+def _compile_spec(spec: Any, name: str) -> Compiled:
     """The model, without its meshes where these are not to be had."""
     again = spec.copy()
     try:
@@ -111,7 +119,7 @@ def off(model: Any, what: str) -> bool:
     return bool(int(model.opt.disableflags) & int(bit))
 
 
-def _switch_off(model: Any) -> None:
+def _remove_disabled(model: Any) -> None:
     """Takes out of a model what its flags disable, so that nobody reads it."""
     nothing: list[Any] = []
     constraints = off(model, "CONSTRAINT")
@@ -147,7 +155,13 @@ def names_of(model: Any) -> tuple[list[str], list[str]]:
 
 
 def free_name(name: str, taken: list[str], ending: str = " body") -> str:
-    """A name, with its ending where another has it already."""
+    """A name that is not taken, with an ending where it is.
+
+    Args:
+        name: wanted.
+        taken: names in use.
+        ending: that is appended.
+    """
     if name not in taken:
         return name
     name = f"{name}{ending}"
@@ -189,7 +203,7 @@ def not_taken_over(compiled: Compiled, joints: list[str]) -> list[str]:
         ("flexible body", [model.flex(k).name for k in range(model.nflex)]),
         ("motion capture of body", [model.body(k).name for k in mocap]),
     ):
-        missing += [f"{what} {_named(name, k)}" for k, name in enumerate(names_of)]
+        missing += [f"{what} {_quoted_name(name, k)}" for k, name in enumerate(names_of)]
     if compiled.without:
         missing.append(
             f"meshes that MuJoCo finds no file for or cannot read ({listed(compiled.without)})"
@@ -197,7 +211,7 @@ def not_taken_over(compiled: Compiled, joints: list[str]) -> list[str]:
     return missing + [f"MuJoCo says: {words.rstrip('.')}" for words in compiled.warned]
 
 
-def _named(name: str, k: int) -> str:
+def _quoted_name(name: str, k: int) -> str:
     """A name in quotes; of what has none its number in the file."""
     return f'"{name}"' if name else str(k)
 
@@ -208,8 +222,20 @@ def keyframes(model: Any) -> list[str]:
 
 
 def coordinates_at(model: Any, joints: list[str], keyframe: str) -> dict[str, tuple[float, ...]]:
-    """The coordinates of joints at a keyframe, from the reference on; of balls and free joints as
-    they are. Raises `ValueError` for another name."""
+    """Coordinates of joints at a keyframe, by name.
+
+    Those of hinges and slides count from the reference configuration; of balls and free joints they
+    are
+    MuJoCo's.
+
+    Args:
+        model: MuJoCo's.
+        joints: names by index.
+        keyframe: its name.
+
+    Raises:
+        ValueError: there is no such keyframe.
+    """
     names = keyframes(model)
     check_name("keyframe", keyframe, names)
     value, coordinates = model.key_qpos[names.index(keyframe)], {}

@@ -30,12 +30,22 @@ def from_scipy(
     table: dict[str, Any] | None = None,
     spread: float | None = None,
 ) -> FromScipy:
-    """`scipy`: a name in scipy.stats, such as "weibull_min", with its numbers; or a table and the
-    standard deviation. Raises `ValueError` with a sentence."""
+    """A distribution of scipy, by its name or by its table.
+
+    Args:
+        scipy: name in scipy.stats, such as "weibull_min".
+        numbers: its parameters by name.
+        about: nominal value of a distribution of the dimension itself (`FromScipy`).
+        table: scores, deviations and slopes, instead of a name.
+        spread: standard deviation of a table, in the variable's unit, > 0.
+
+    Raises:
+        ValueError: not exactly one of name and table is given, or the table is malformed.
+    """
     if (scipy is None) == (table is None):
         raise ValueError("distribution.FromScipy needs scipy (a name) or a table, one of the two.")
     if scipy is not None:
-        return FromScipy(_frozen(scipy, numbers or {}), about=about)
+        return FromScipy(_frozen_distribution(scipy, numbers or {}), about=about)
     columns: dict[str, Any] = table or {}
     rows = [np.asarray(columns.get(row, ()), float) for row in ROWS]
     fits = all(row.shape == rows[0].shape and row.ndim == 1 for row in rows) and len(rows[0]) > 1
@@ -55,7 +65,7 @@ def from_scipy(
     return built
 
 
-def _frozen(name: str, numbers: dict[str, float]) -> Any:
+def _frozen_distribution(name: str, numbers: dict[str, float]) -> Any:
     """A distribution of scipy whose quantile is a formula: others take minutes to tabulate."""
     from scipy import stats
 
@@ -84,8 +94,17 @@ def time_table(
     csv: Path | None = None,
     columns: tuple[str, ...] | None = None,
 ) -> TimeTable:
-    """`times` and `values`, or a file `csv` and the names of its `columns`, that of the time first.
-    Raises `ValueError` with a sentence."""
+    """A table over time, from numbers or from columns of a file.
+
+    Args:
+        times, values: instants [s] and values; None: from `csv`.
+        interpolation, beyond, factor: as of `TimeTable`.
+        csv: path of the file.
+        columns: names in it, that of the time first.
+
+    Raises:
+        ValueError: not exactly one of numbers and file is given.
+    """
     further: dict[str, Any] = {"beyond": beyond, "factor": factor}
     if (csv is None) == (times is None) or (csv is None) != (columns is None):
         raise ValueError("TimeTable needs times and values, or csv and columns.")

@@ -103,11 +103,11 @@ class Part(AbstractForm):
             if named is None:
                 kind = self._only_member(kinds, made, node, path)
             else:
-                kind = _named_kind(plain_text(named, f"{path}.{KIND}"), named, kinds, made, path)
+                kind = _find_kind(plain_text(named, f"{path}.{KIND}"), named, kinds, made, path)
         elif isinstance(values, str) and alone is not None:
             kind, entries = self.families[0], {alone: node}
         elif isinstance(values, str):
-            kind, entries = _named_kind(values, node, kinds, made, path), {}
+            kind, entries = _find_kind(values, node, kinds, made, path), {}
         else:
             raise misread(node, path, f"is {node.words}; it must be {_one_of(kinds, made)}.")
         if kind in made:
@@ -115,7 +115,7 @@ class Part(AbstractForm):
         else:
             build = INSTEAD[kind][0] if kind in INSTEAD else kind
             called = Called(public_name(kind), build, arguments(kind))
-        return _built(called, entries, node, path, folder)
+        return _build_part(called, entries, node, path, folder)
 
     def _only_member(self, kinds: dict, made: dict, node: Node, path: str) -> type:
         """The class of a mapping that does not say its kind."""
@@ -129,7 +129,7 @@ class Part(AbstractForm):
         kinds = members(self.families)
         kind: Any = thing.__class__
         if kind not in kinds.values():
-            refuse(path, _no_data(thing, kinds))
+            refuse(path, _why_not_data(thing, kinds))
         values: dict[str, Any] = {}
         if self.families != (kind,) and kind is not Body:
             values[KIND] = kind.__name__
@@ -164,7 +164,7 @@ class Part(AbstractForm):
             if any(argument.needed and argument.form is None for argument in args.values()):
                 continue
             place = full if full.count(".") and full.rpartition(".")[2] == name else name
-            _define(place, name, full, args, defs)
+            _add_definition(place, name, full, args, defs)
             refs.append({"$ref": f"#/$defs/{place}"})
         full_form: Schema = {"anyOf": refs} if single else {"anyOf": refs, "required": [KIND]}
         words = [
@@ -178,40 +178,40 @@ class Part(AbstractForm):
         return {"anyOf": [full_form, *text]} if text else full_form
 
 
-def _attribute(name: str) -> Getter:
+def _attribute_reader(name: str) -> Getter:
     return lambda thing: getattr(thing, name)
 
 
-def _nothing(thing: Any) -> None:
+def _no_value(thing: Any) -> None:
     return None
 
 
-def _axis(marker: Marker) -> Any:
+def _axis_of_marker(marker: Marker) -> Any:
     return marker.named_axis if marker.axis is None else marker.axis
 
 
-def _end(side: str, other: str) -> Getter:
+def _marker_or_body(side: str, other: str) -> Getter:
     """A marker, or its body's name where that stands for it: beside a marker a name would be turned
     as that one is."""
 
     def read(connection: Connection) -> Any:
         marker, facing = getattr(connection, side), getattr(connection, other)
         turns = [end.quaternion is not None or end.angle is not None for end in (marker, facing)]
-        plain = not any(turns) and _axis(marker) == "z" == _axis(facing)
+        plain = not any(turns) and _axis_of_marker(marker) == "z" == _axis_of_marker(facing)
         return marker.body if plain and marker.at is None else marker
 
     return read
 
 
-def _point(response: PositionError) -> Any:
+def _marker_or_name(response: PositionError) -> Any:
     return response.body.body if response.body.at is None else response.body
 
 
-def _as_drawn(part: str) -> Getter:
+def _drawn_part_reader(part: str) -> Getter:
     return lambda mechanism: parts_as_drawn(mechanism)[part]
 
 
-def _mechanism_value(what: str) -> Getter:
+def _start_argument_reader(what: str) -> Getter:
     return lambda mechanism: mechanism.start_arguments[what]
 
 
@@ -232,38 +232,38 @@ END = Choice((Text(), Part((Marker,), spelled_out=True)))
 # What stands where a mechanism does not say how its loops are held.
 AS_NEEDED = "default"
 # Words that go without saying, by how they are told.
-IMPLIED: Mapping[Getter, str] = MappingProxyType({_axis: "z", _stabilisation: AS_NEEDED})
+IMPLIED: Mapping[Getter, str] = MappingProxyType({_axis_of_marker: "z", _stabilisation: AS_NEEDED})
 # How arguments are told that are not the field of the same name.
 ARGUMENT_FORMS: dict[type, dict[str, tuple[AbstractForm | None, Getter]]] = {
-    Marker: {"axis": (DIRECTION, _axis)},
+    Marker: {"axis": (DIRECTION, _axis_of_marker)},
     Connection: {
-        "parent": (END, _end("parent", "child")),
-        "child": (END, _end("child", "parent")),
-        "at": (Numbers({"unit": "m"}, (2, 3)), _nothing),
-        "axis": (DIRECTION, _nothing),
+        "parent": (END, _marker_or_body("parent", "child")),
+        "child": (END, _marker_or_body("child", "parent")),
+        "at": (Numbers({"unit": "m"}, (2, 3)), _no_value),
+        "axis": (DIRECTION, _no_value),
     },
-    PositionError: {"body": (END, _point)},
+    PositionError: {"body": (END, _marker_or_name)},
     Mechanism: {
-        "bodies": (ByName(Part((Body, Beam))), _as_drawn("bodies")),
-        "connections": (ByName(Part((Connection,))), _as_drawn("connections")),
-        "loads": (ByName(Part((AbstractLoad,))), _as_drawn("loads")),
-        "start": (NUMBERS_BY_NAME, _mechanism_value("start")),
-        "speeds": (NUMBERS_BY_NAME, _mechanism_value("speeds")),
-        "guess": (NUMBERS_BY_NAME, _mechanism_value("guess")),
+        "bodies": (ByName(Part((Body, Beam))), _drawn_part_reader("bodies")),
+        "connections": (ByName(Part((Connection,))), _drawn_part_reader("connections")),
+        "loads": (ByName(Part((AbstractLoad,))), _drawn_part_reader("loads")),
+        "start": (NUMBERS_BY_NAME, _start_argument_reader("start")),
+        "speeds": (NUMBERS_BY_NAME, _start_argument_reader("speeds")),
+        "guess": (NUMBERS_BY_NAME, _start_argument_reader("guess")),
         "stabilisation": (Part((Baumgarte, Projection)), _stabilisation),
     },
-    Adaptive: {"breaks": (NumberArray(), _attribute("breaks"))},
-    Saving: {"at": (Choice((Integer({"at_least": 2}), NumberArray())), _attribute("at"))},
+    Adaptive: {"breaks": (NumberArray(), _attribute_reader("breaks"))},
+    Saving: {"at": (Choice((Integer({"at_least": 2}), NumberArray())), _attribute_reader("at"))},
     Condition: {
-        "acts": (Part((Heating,)), _attribute("acts")),
-        "tolerance": (Number({"unit": "1", "above": 0}), _nothing),
+        "acts": (Part((Heating,)), _attribute_reader("acts")),
+        "tolerance": (Number({"unit": "1", "above": 0}), _no_value),
     },
     Heating: {"expansion": (Choice((Number(EXPANSION), ByName(Number(EXPANSION)))), _expansion)},
-    Size: {"where": (Place(), _attribute("where"))},
+    Size: {"where": (Place(), _attribute_reader("where"))},
     Variable: {
-        "where": (Place(), _attribute("where")),
-        "tolerance": (Number({"unit": "1", "above": 0}), _nothing),
-        "derived": (None, _attribute("derived")),
+        "where": (Place(), _attribute_reader("where")),
+        "tolerance": (Number({"unit": "1", "above": 0}), _no_value),
+        "derived": (None, _attribute_reader("derived")),
     },
 }
 # Classes that a file builds by other arguments than their own.
@@ -271,33 +271,33 @@ INSTEAD: dict[type, tuple[Callable[..., Any], dict[str, Argument]]] = {
     FromScipy: (
         from_scipy,
         {
-            "scipy": Argument(Text(), False, None, _nothing),
-            "numbers": Argument(ByName(Number({"unit": "1"})), False, None, _nothing),
-            "about": Argument(Number({"unit": "1"}), False, None, _nothing),
+            "scipy": Argument(Text(), False, None, _no_value),
+            "numbers": Argument(ByName(Number({"unit": "1"})), False, None, _no_value),
+            "about": Argument(Number({"unit": "1"}), False, None, _no_value),
             "table": Argument(ByName(NumberArray()), False, None, table_of),
             "spread": Argument(
-                Number({"unit": "1", "above": 0}), False, None, _attribute("spread")
+                Number({"unit": "1", "above": 0}), False, None, _attribute_reader("spread")
             ),
         },
     ),
     Empirical: (
         Empirical,
         {
-            "deviations": Argument(NumberArray(), False, None, _attribute("deviations")),
-            "low": Argument(Number({"unit": "1"}), False, None, _attribute("low")),
-            "high": Argument(Number({"unit": "1"}), False, None, _attribute("high")),
+            "deviations": Argument(NumberArray(), False, None, _attribute_reader("deviations")),
+            "low": Argument(Number({"unit": "1"}), False, None, _attribute_reader("low")),
+            "high": Argument(Number({"unit": "1"}), False, None, _attribute_reader("high")),
         },
     ),
     TimeTable: (
         time_table,
         {
-            "times": Argument(NumberArray(), False, None, _attribute("times")),
-            "values": Argument(NumberArray(), False, None, _attribute("values")),
-            "interpolation": Argument(Text(), False, None, _attribute("interpolation")),
-            "beyond": Argument(Text(), False, None, _attribute("beyond")),
-            "factor": Argument(Number({"unit": "1"}), False, None, _attribute("factor")),
-            "csv": Argument(FileName(), False, None, _nothing),
-            "columns": Argument(Listed(Text()), False, None, _nothing),
+            "times": Argument(NumberArray(), False, None, _attribute_reader("times")),
+            "values": Argument(NumberArray(), False, None, _attribute_reader("values")),
+            "interpolation": Argument(Text(), False, None, _attribute_reader("interpolation")),
+            "beyond": Argument(Text(), False, None, _attribute_reader("beyond")),
+            "factor": Argument(Number({"unit": "1"}), False, None, _attribute_reader("factor")),
+            "csv": Argument(FileName(), False, None, _no_value),
+            "columns": Argument(Listed(Text()), False, None, _no_value),
         },
     ),
 }
@@ -312,7 +312,7 @@ def members(families: tuple[type, ...]) -> dict[str, type]:
     the package's class counts, and of a user's classes the last one."""
     kinds: dict[str, type] = {}
     for family in families:
-        for kind in (family, *_below(family)):
+        for kind in (family, *_iterate_subclasses(family)):
             named = not kind.__name__.startswith(("Abstract", "_")) and _is_final(kind)
             if named and not _is_ours(kinds.get(kind.__name__)):
                 kinds[kind.__name__] = kind
@@ -323,11 +323,11 @@ def _is_final(kind: Any) -> bool:
     return dataclasses.is_dataclass(kind) and not inspect.isabstract(kind)
 
 
-def _below(family: Any) -> Iterator[type]:
+def _iterate_subclasses(family: Any) -> Iterator[type]:
     subclasses: list[type] = family.__subclasses__()
     for kind in subclasses:
         yield kind
-        yield from _below(kind)
+        yield from _iterate_subclasses(kind)
 
 
 @functools.cache
@@ -347,14 +347,14 @@ def arguments(kind: Any) -> Mapping[str, Argument]:
             form, read_from = special[name]
         else:
             form = None if field is None else form_of(field.type, metadata)
-            read_from = _attribute(name)
+            read_from = _attribute_reader(name)
         implied = IMPLIED.get(read_from)
-        default = _default(parameter, field)
+        default = _default_of(parameter, field)
         listed_args[name] = Argument(form, needed, default, read_from, implied, metadata)
     return MappingProxyType(listed_args)
 
 
-def _default(parameter: inspect.Parameter, field: Any) -> Any:
+def _default_of(parameter: inspect.Parameter, field: Any) -> Any:
     if field is not None and field.default_factory is not dataclasses.MISSING:
         return field.default_factory()
     return parameter.default
@@ -369,19 +369,19 @@ def builders(families: tuple[type, ...]) -> dict[str, tuple[Callable, dict[str, 
         for name in contact.__all__:
             build = getattr(contact, name)
             if inspect.isfunction(build):
-                functions[name] = (build, _of_product(build))
+                functions[name] = (build, _arguments_of_builder(build))
     if material.Material in families:
         functions |= {"steel": (material.steel, {}), "aluminium": (material.aluminium, {})}
     return functions
 
 
-def _of_product(build: Any) -> dict[str, Argument]:
+def _arguments_of_builder(build: Any) -> dict[str, Argument]:
     return {
         name: Argument(
             form_of(field.type, field.metadata),
             field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING,
             field.default,
-            _nothing,
+            _no_value,
             None,
             field.metadata,
         )
@@ -446,7 +446,7 @@ class Called(NamedTuple):
     arguments: Mapping[str, Argument]
 
 
-def _built(called: Called, entries: dict, node: Node, path: str, folder: Path) -> Any:
+def _build_part(called: Called, entries: dict, node: Node, path: str, folder: Path) -> Any:
     """What a class or function, told by its name and arguments, makes of what is given."""
     name, build, forms = called
     entries = with_new_arguments(name, forms, entries)
@@ -467,13 +467,13 @@ def _built(called: Called, entries: dict, node: Node, path: str, folder: Path) -
     for word, entry in entries.items():
         form = forms[word].form
         if entry.value is not None and form is not None:
-            built[word] = form.read(entry, _inner(path, word), folder)
+            built[word] = form.read(entry, _inner_path(path, word), folder)
     try:
         return build(**built)
     except Misread:
         raise
     except REFUSALS as error:
-        raise misread(node, path, _one_line(error)) from None
+        raise misread(node, path, _as_sentence(error)) from None
 
 
 def _has_no(word: str, names: Mapping[str, Argument]) -> str:
@@ -481,16 +481,16 @@ def _has_no(word: str, names: Mapping[str, Argument]) -> str:
     return f"has {text[0].lower()}{text[1:]}"
 
 
-def _one_line(error: Exception) -> str:
+def _as_sentence(error: Exception) -> str:
     sentence = " ".join(str(error).split())
     return sentence if sentence.endswith((".", "?")) else f"{sentence}."
 
 
-def _inner(path: str, word: str) -> str:
+def _inner_path(path: str, word: str) -> str:
     return f"{path}.{word}" if path else word
 
 
-def _named_kind(word: str, node: Node, kinds: dict, made: dict, path: str) -> Any:
+def _find_kind(word: str, node: Node, kinds: dict, made: dict, path: str) -> Any:
     """The class, or the name of the function, that a word names."""
     place, _, last = word.removeprefix("jaxclear.").rpartition(".")
     fits = lambda thing: not place or public_name(thing) == f"{place}.{last}"
@@ -515,7 +515,7 @@ def _is_same(one: Any, other: Any) -> bool:
     return bool(one is other or eqx.tree_equal(one, other))
 
 
-def _no_data(thing: Any, kinds: dict[str, type]) -> str:
+def _why_not_data(thing: Any, kinds: dict[str, type]) -> str:
     """Why a thing has no place in a file."""
     names = listed(kinds)
     if callable(thing) and not isinstance(thing, eqx.Module):
@@ -537,7 +537,7 @@ def _spellings(name: str, full: str) -> tuple[str, ...]:
     return (name, full, f"jaxclear.{full}")
 
 
-def _define(
+def _add_definition(
     place: str, name: str, full: str, taken_args: Mapping[str, Argument], defs: dict[str, Schema]
 ) -> None:
     """Puts the schema of a class or function by its arguments into `known`."""

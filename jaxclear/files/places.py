@@ -26,7 +26,7 @@ class NumberPlaces:
 
     def __call__(self, mechanism: Mechanism) -> Any:
         """The number, or several."""
-        values = tuple(_followed(mechanism, path) for path in self.paths)
+        values = tuple(_follow_path(mechanism, path) for path in self.paths)
         return values[0] if len(values) == 1 else values
 
 
@@ -46,16 +46,16 @@ def steps_of(path: str) -> list[str | int]:
     return steps
 
 
-def _followed(mechanism: Any, path: str) -> Any:
+def _follow_path(mechanism: Any, path: str) -> Any:
     """What stands at a path. Raises `KeyError`, `AttributeError`, `IndexError` or `TypeError` where
     nothing does."""
     place = mechanism
     for step in steps_of(path):
-        place = _one_further(place, step)
+        place = _take_step(place, step)
     return place
 
 
-def _one_further(place: Any, step: str | int) -> Any:
+def _take_step(place: Any, step: str | int) -> Any:
     if isinstance(place, Mapping) or isinstance(step, int):
         return place[step]
     if step.startswith("_") or not is_dataclass(place):
@@ -68,9 +68,9 @@ def check_numbers(where: NumberPlaces, mechanism: Mechanism) -> None:
     leaves = {id(leaf) for leaf in jax.tree.leaves(mechanism)}
     for path in where.paths:
         try:
-            value = _followed(mechanism, path)
+            value = _follow_path(mechanism, path)
         except (KeyError, AttributeError, IndexError, TypeError):
-            raise ValueError(_nowhere(path, mechanism)) from None
+            raise ValueError(_describe_wrong_step(path, mechanism)) from None
         if id(value) not in leaves:
             raise ValueError(
                 f'"{path}" is {described(value)}; it must be the place of one number of the '
@@ -78,7 +78,7 @@ def check_numbers(where: NumberPlaces, mechanism: Mechanism) -> None:
             )
 
 
-def _nowhere(path: str, mechanism: Any) -> str:
+def _describe_wrong_step(path: str, mechanism: Any) -> str:
     """Which step of a path leads nowhere, and what there is instead."""
     place = mechanism
     for step in steps_of(path):
@@ -90,7 +90,7 @@ def _nowhere(path: str, mechanism: Any) -> str:
         elif isinstance(place, tuple):
             names = [str(index) for index in range(len(place))]
         try:
-            place = _one_further(place, step)
+            place = _take_step(place, step)
         except (KeyError, AttributeError, IndexError, TypeError):
             break
     return f'"{path}": {unknown("part", str(step), names, " there")}'
@@ -107,14 +107,14 @@ def places_in_words(where: Callable[[Mechanism], Any], mechanism: Mechanism) -> 
     flags = jax.tree.leaves(where(marked))
     if not flags or any(id(mark) not in by_mark for mark in flags):
         raise ValueError("its `where` computes something instead of pointing at numbers.")
-    return tuple(_in_words(by_mark[id(mark)]) for mark in flags)
+    return tuple(_format_path(by_mark[id(mark)]) for mark in flags)
 
 
 class _Mark:
     """Stands for a number of a mechanism, to be found again."""
 
 
-def _in_words(path: Any) -> str:
+def _format_path(path: Any) -> str:
     words = []
     for step in path:
         if isinstance(step, jax.tree_util.GetAttrKey):

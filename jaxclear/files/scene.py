@@ -204,7 +204,7 @@ class Scene(AbstractQuantified):
         for what, entries in (("variables", varied), ("responses", self.responses)):
             if not entries:
                 raise ValueError(f"this scene states no {what}; a problem needs some.")
-        parts = (drawn.mechanism, self._compared(), varied)
+        parts = (drawn.mechanism, self._responses_with_reference(), varied)
         more: dict[str, Any] = {"correlation": self.correlation}
         if self.positions is not None:
             more |= {"positions": self.positions, "reverse_loads": self.reverse_loads}
@@ -244,7 +244,7 @@ class Scene(AbstractQuantified):
         at = lambda joint: [float(joint.drive.motion(jnp.asarray(t))[0]) for t in times]
         return {name: at(joint) for name, joint in joints.items()}
 
-    def _compared(self) -> dict[str, Any]:
+    def _responses_with_reference(self) -> dict[str, Any]:
         """The responses, with the mechanism without clearance where one has no reference."""
         found = dict(self.responses)
         bare = lambda own: isinstance(own, LargestError) and own.reference is None
@@ -335,7 +335,7 @@ def read_scene(path: Any) -> Scene:
     """
     path = _as_path(path)
     try:
-        return _scene_of(parsed(text_of(path), path.suffix), path.parent)
+        return _read_scene(parsed(text_of(path), path.suffix), path.parent)
     except Misread as error:
         raise Misread(f"{path.name}: {error}") from None
 
@@ -371,7 +371,7 @@ def scene_text(scene: Scene, ending: str = ".yaml") -> str:
     Returns:
         The text.
     """
-    values = _values_of(scene)
+    values = _plain_values(scene)
     if ending in JSON:
         return json.dumps(values, indent=1, ensure_ascii=False) + "\n"
     import yaml
@@ -390,8 +390,8 @@ def _as_path(path: Any) -> Path:
     return Path(path)
 
 
-def _scene_of(node: Node, folder: Path) -> Scene:
-    values = _mapping(node, "the file", {*TOP, "run"})
+def _read_scene(node: Node, folder: Path) -> Scene:
+    values = _read_mapping(node, "the file", {*TOP, "run"})
     if HEAD not in values:
         raise Misread(f'has no "{HEAD}: {FORMAT}"; a scene file begins with it.')
     if values[HEAD].value != FORMAT or isinstance(values[HEAD].value, bool):
@@ -405,12 +405,12 @@ def _scene_of(node: Node, folder: Path) -> Scene:
         if name in values and values[name].value is not None and name != "correlation"
     }
     expect(read.get("mechanism"), Mechanism, "mechanism", "a mapping of bodies and connections")
-    run = _mapping(values["run"], "run", RUN) if "run" in values else {}
+    run = _read_mapping(values["run"], "run", RUN) if "run" in values else {}
     for name, entry in run.items():
         if entry.value is not None:
             read[name] = RUN[name].read(entry, f"run.{name}", folder)
     if "correlation" in values:
-        read["correlation"] = _correlation(values["correlation"], folder)
+        read["correlation"] = _read_correlation(values["correlation"], folder)
     for name, variable in read.get("variables", {}).items():
         _check_variable(variable, read["mechanism"], values["variables"].value[name], name)
     for name, response in read.get("responses", {}).items():
@@ -423,7 +423,7 @@ def _scene_of(node: Node, folder: Path) -> Scene:
         raise Misread(f"run: {error}") from None
 
 
-def _mapping(node: Node, what: str, names: Any) -> dict[str, Node]:
+def _read_mapping(node: Node, what: str, names: Any) -> dict[str, Node]:
     """The values of a mapping whose names are known."""
     if not isinstance(node.value, dict):
         raise misread(node, what, f"is {node.words}; it must be a mapping of {listed(names)}.")
@@ -434,7 +434,7 @@ def _mapping(node: Node, what: str, names: Any) -> dict[str, Node]:
     return entries
 
 
-def _correlation(node: Node, folder: Path) -> Any:
+def _read_correlation(node: Node, folder: Path) -> Any:
     """Coefficients by pairs, or a matrix."""
     pairs = isinstance(node.value, list) and node.value and isinstance(node.value[0].value, dict)
     if not pairs:
@@ -465,10 +465,10 @@ def _check_response(response: Any, mechanism: Mechanism, node: Node, name: str) 
             raise misread(node, f'responses["{name}"]', sentence)
 
 
-def _values_of(scene: Scene) -> dict[str, Any]:
+def _plain_values(scene: Scene) -> dict[str, Any]:
     """A scene in plain values."""
     mechanism = scene.mechanism
-    plain_scene: dict[str, Any] = {HEAD: FORMAT, "written_by": _program()}
+    plain_scene: dict[str, Any] = {HEAD: FORMAT, "written_by": _program_version()}
     if scene.description:
         plain_scene["description"] = scene.description
     plain = lambda form, thing, path: form.plain(thing, path, mechanism)
@@ -507,7 +507,7 @@ def _plain_correlation(correlation: Any, mechanism: Mechanism) -> Any:
     return NumberArray().plain(correlation, "correlation", mechanism)
 
 
-def _program() -> str:
+def _program_version() -> str:
     try:
         return f"jaxclear {version('jaxclear')}"
     except PackageNotFoundError:

@@ -64,7 +64,13 @@ class Node:
 
 
 def misread(node: Node, path: str, sentence: str) -> Misread:
-    """What is wrong with a value at a place."""
+    """The error for a value of a file that is not what it must be.
+
+    Args:
+        node: the value with its line.
+        path: its place in the file.
+        sentence: follows the place: what is wrong, and what it must be.
+    """
     line = f"line {node.line}, " if node.line else ""
     place = path if len(path) <= LONGEST_PLACE else f"{path[:LONGEST_PLACE]}..."
     if len(sentence) > LONGEST_SENTENCE:
@@ -90,18 +96,18 @@ def text_of(path: Path) -> str:
 def parsed(text: str, suffix: str) -> Node:
     """The values in a text of YAML or JSON, by the file's ending. Raises `Misread`."""
     if suffix.lower() in JSON:
-        return _of_json(text)
+        return _parse_json(text)
     if suffix.lower() in YAML:
-        return _of_yaml(text)
+        return _parse_yaml(text)
     raise Misread(f'ends in "{suffix}"; a scene file ends in .yaml, .yml or .json.')
 
 
-def _of_json(text: str) -> Node:
+def _parse_json(text: str) -> Node:
     # Before anything is built: millions of values take minutes and gigabytes.
-    if _most_values(text) > MOST_VALUES and values_of(text) > MOST_VALUES:
+    if _bound_value_count(text) > MOST_VALUES and values_of(text) > MOST_VALUES:
         raise Misread(f"{TOO_MANY}.")
     try:
-        entries = json.loads(text, object_pairs_hook=_Pairs, parse_constant=_no_number)
+        entries = json.loads(text, object_pairs_hook=_Pairs, parse_constant=_refuse_constant)
     except json.JSONDecodeError as error:
         raise Misread(f"line {error.lineno}: {error.msg} (JSON).") from None
     except RecursionError:
@@ -110,10 +116,10 @@ def _of_json(text: str) -> Node:
         raise
     except ValueError:
         raise Misread("holds a whole number of thousands of digits.") from None
-    return _of_value(entries, 0)
+    return _node_of_value(entries, 0)
 
 
-def _most_values(text: str) -> int:
+def _bound_value_count(text: str) -> int:
     """A bound of the values in a text of JSON: each but the outermost follows a comma or opens a
     list or mapping."""
     return 1 + sum(map(text.count, ",[{"))
@@ -122,18 +128,18 @@ def _most_values(text: str) -> int:
 def values_of(text: str) -> int:
     """The values in a text of JSON, names not counted."""
     bare = QUOTED.sub('"', text)
-    return _most_values(bare) - len(EMPTY.findall(bare))
+    return _bound_value_count(bare) - len(EMPTY.findall(bare))
 
 
 class _Pairs(list):
     """What stands in an object of JSON: names may come twice."""
 
 
-def _no_number(word: str) -> NoReturn:
+def _refuse_constant(word: str) -> NoReturn:
     raise Misread(f"holds {word}, which is no number of JSON.")
 
 
-def _of_value(value: Any, depth: int) -> Node:
+def _node_of_value(value: Any, depth: int) -> Node:
     if depth > DEEPEST:
         raise Misread(f"is nested more than {DEEPEST} deep.")
     if isinstance(value, _Pairs):
@@ -141,10 +147,10 @@ def _of_value(value: Any, depth: int) -> Node:
         for name, inner in value:
             if name in entries:
                 raise Misread(f'the name "{name[:60]}" stands twice in one mapping.')
-            entries[name] = _of_value(inner, depth + 1)
+            entries[name] = _node_of_value(inner, depth + 1)
         return Node(entries)
     if isinstance(value, list):
-        return Node([_of_value(inner, depth + 1) for inner in value])
+        return Node([_node_of_value(inner, depth + 1) for inner in value])
     return Node(value)
 
 
@@ -162,7 +168,7 @@ class _Open:
         if not self.named:
             self.values.append(node)
         elif self.name is None:
-            self.name = _name(node, self.values)
+            self.name = _check_node_name(node, self.values)
             return
         else:
             self.values[self.name] = node
@@ -170,7 +176,7 @@ class _Open:
         self.size += node.size
 
 
-def _name(node: Node, names: dict) -> str:
+def _check_node_name(node: Node, names: dict) -> str:
     name = node.raw if node.raw is not None else node.value
     if not isinstance(name, str):
         raise Misread(f"line {node.line}: a name is {node.words}; it must be a text.")
@@ -179,12 +185,12 @@ def _name(node: Node, names: dict) -> str:
     return name
 
 
-def _of_yaml(text: str) -> Node:
+def _parse_yaml(text: str) -> Node:
     import yaml
 
     loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
     try:
-        return _built(yaml.parse(text, Loader=loader), yaml)
+        return _build_document(yaml.parse(text, Loader=loader), yaml)
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         line = "" if mark is None else f"line {mark.line + 1}: "
@@ -198,13 +204,13 @@ def _of_yaml(text: str) -> Node:
         raise Misread(f"is nested more than {DEEPEST} deep.") from None
 
 
-def _built(events: Any, yaml: Any) -> Node:
+def _build_document(events: Any, yaml: Any) -> Node:
     """The one document of a stream of events."""
     anchors: dict[str, Node | None] = {}
     stack: list[_Open] = []
     entries: Node | None = None
     for event in events:
-        node = _closed_or_scalar(event, yaml, anchors, stack)
+        node = _finish_value(event, yaml, anchors, stack)
         if node is None:
             continue
         if node.size > MOST_VALUES or (stack and stack[-1].size > MOST_VALUES):
@@ -220,7 +226,7 @@ def _built(events: Any, yaml: Any) -> Node:
     return entries
 
 
-def _closed_or_scalar(event: Any, yaml: Any, anchors: dict, stack: list[_Open]) -> Node | None:
+def _finish_value(event: Any, yaml: Any, anchors: dict, stack: list[_Open]) -> Node | None:
     """The value that ends with an event; None where none does."""
     line = event.start_mark.line + 1
     if isinstance(event, (yaml.MappingStartEvent, yaml.SequenceStartEvent)):
@@ -239,7 +245,7 @@ def _closed_or_scalar(event: Any, yaml: Any, anchors: dict, stack: list[_Open]) 
             anchors[closed.anchor] = node
         return node
     if isinstance(event, yaml.ScalarEvent):
-        node = _scalar(event, line)
+        node = _scalar_node(event, line)
         if event.anchor:
             anchors[event.anchor] = node
         return node
@@ -250,7 +256,7 @@ def _closed_or_scalar(event: Any, yaml: Any, anchors: dict, stack: list[_Open]) 
     return None
 
 
-def _scalar(event: Any, line: int) -> Node:
+def _scalar_node(event: Any, line: int) -> Node:
     plain = event.implicit[0]
     _check_tag(event.tag, ("str", "int", "float", "bool", "null"), line)
     if not plain and event.tag in (None, "!", "tag:yaml.org,2002:str"):

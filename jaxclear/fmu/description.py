@@ -45,7 +45,13 @@ class Variable(NamedTuple):
 
 
 def description(unit: Any, name: str, kinds: Sequence[str]) -> str:
-    """modelDescription.xml of a unit of this name and these kinds."""
+    """Text of modelDescription.xml.
+
+    Args:
+        unit: with inputs, parameters, outputs and states.
+        name: of the model.
+        kinds: of FMI: "model exchange", "co-simulation".
+    """
     calculated = {"variability": "continuous", "initial": "calculated"}
     inner, out = {"causality": "local"} | calculated, {"causality": "output"} | calculated
     time = {"causality": "independent", "variability": "continuous"}

@@ -91,11 +91,11 @@ class Functions:
         place = nominal.start.coordinates, nominal.start.speeds
         self.rough = place if nominal.searched else None
         self.original = Flat.of((mechanism, integrator))
-        first = self._begin(nominal.mechanism, nominal.start, jnp.zeros(()), integrator)
+        first = self._start_run(nominal.mechanism, nominal.start, jnp.zeros(()), integrator)
         self.run, self.carry = map(Flat.of, first)
         self.packed = [i for i, x in enumerate(self.run.leaves) if not is_table(x)]
 
-    def _begin(self, mechanism: Mechanism, start: Any, time: Any, integrator: Any) -> tuple:
+    def _start_run(self, mechanism: Mechanism, start: Any, time: Any, integrator: Any) -> tuple:
         times = jnp.stack([time, time + self.duration])
         arguments = mechanism, start.coordinates, start.speeds, times, integrator
         mechanism, _, first = first_turn(*arguments)
@@ -107,30 +107,30 @@ class Functions:
         mechanism, integrator = self.original.tree(leaves)
         mechanism = with_redundancy(integrator.formulation.modelled(mechanism), self.redundancy)
         start = assemble_arrays(mechanism, True, numbers[0], self.rough)
-        steps, first = map(Flat.of, self._begin(mechanism, start, numbers[0], integrator))
+        steps, first = map(Flat.of, self._start_run(mechanism, start, numbers[0], integrator))
         return [*(steps.leaves[i] for i in self.packed), *first.leaves, is_sound(mechanism, start)]
 
     def step(self, leaves: Arrays, numbers: Arrays) -> Arrays:
         """What is handed on at the end of a communication step, from that at its beginning."""
-        _, integrator, model, now = self._now(leaves, numbers)
+        _, integrator, model, now = self._unpack_numbers(leaves, numbers)
         start, stop = numbers[-2:]
         turn, span = Turn(model, integrator, False), Span(start, stop, jnp.zeros(()))
         return Flat.of(through_interval(turn)(now, span)).leaves
 
     def read(self, leaves: Arrays, numbers: Arrays) -> Arrays:
         """The outputs."""
-        mechanism, integrator, _, now = self._now(leaves, numbers)
+        mechanism, integrator, _, now = self._unpack_numbers(leaves, numbers)
         run = run_of_step(mechanism, integrator, numbers[0], now, jnp.stack(numbers[-2:]))
         return [function(run) for function in self.outputs.values()]
 
-    def _now(self, leaves: Arrays, numbers: Arrays) -> tuple[Any, Any, Model, Carry]:
+    def _unpack_numbers(self, leaves: Arrays, numbers: Arrays) -> tuple[Any, Any, Model, Carry]:
         mechanism, integrator = self.run.tree(leaves)
         model = model_of(mechanism, integrator.formulation)
         return mechanism, integrator, model, self.carry.tree(numbers[1:-2])
 
     def check(self, leaves: Arrays, numbers: Arrays) -> Arrays:
         """The figures by which a run is judged, as many as `check_places` names."""
-        _, _, model, now = self._now(leaves, numbers)
+        _, _, model, now = self._unpack_numbers(leaves, numbers)
         figures, system = [], model.system
         if system.bearings and now.peaks is not None:
             depths = now.peaks.depths[: model.layout.joint_contacts]
@@ -144,14 +144,14 @@ class Functions:
 
     def rates(self, leaves: Arrays, numbers: Arrays) -> Arrays:
         """The rate of the state, and how deep every contact is."""
-        _, integrator, model, now = self._now(leaves, numbers)
+        _, integrator, model, now = self._unpack_numbers(leaves, numbers)
         rate, contacts = integrator.formulation.rate(model, numbers[-1], now.state)
         return [rate, contacts.depths]
 
     def remember(self, leaves: Arrays, numbers: Arrays) -> Arrays:
         """The state with impact speeds of contacts that touch or part within `SIMULTANEOUS`: the
         search for the instant ends on either side."""
-        _, integrator, model, now = self._now(leaves, numbers)
+        _, integrator, model, now = self._unpack_numbers(leaves, numbers)
         depths, speeds = integrator.formulation.contacts(model, numbers[-1], now.state)
         ahead = ContactMotion(depths + SIMULTANEOUS * speeds, speeds)
         return [integrator.formulation.remember(model, now.state, ahead, ahead, jnp.ones(()))]
@@ -167,7 +167,15 @@ def check_places(model: Model, carry: Carry) -> list[tuple[Check, str]]:
 def run_of_step(
     mechanism: Mechanism, integrator: AbstractIntegrator, before: Any, now: Carry, times: Any
 ) -> Trajectory:
-    """The run over one communication step."""
+    """The run over one communication step, from which outputs are read.
+
+    Args:
+        mechanism: with its parameters.
+        integrator: that made the step.
+        before: state at the beginning of the step, shape (n,).
+        now: state and counters at its end.
+        times: beginning and end of the step [s].
+    """
     model = model_of(mechanism, integrator.formulation)
     # What adds up (impulses, worn volumes) counts from its beginning, as of any run.
     adds_up = jnp.arange(model.layout.size) >= model.layout.remembered.stop

@@ -65,8 +65,16 @@ def compiler(target: str) -> list[str]:
 
 
 def library(command: list[str], header: str, code: bytes) -> bytes:
-    """The shared library of a unit by a compiler's command, from its header and its functions'
-    machine code."""
+    """Bytes of a unit's shared library.
+
+    Args:
+        command: of the C compiler, with its first arguments.
+        header: text of the unit's C header.
+        code: object file of its functions.
+
+    Raises:
+        RuntimeError: the compiler fails.
+    """
     with tempfile.TemporaryDirectory() as folder:
         place = Path(folder)
         (place / "unit.h").write_text(header, encoding="utf-8")

@@ -127,7 +127,7 @@ class Unit:
             branches = [b.name for b in modelled.topology.branches if b.speed_count]
             outputs = {f"{n} {w}": (n, w) for n in branches for w in ("coordinate", "speed")}
         self.units: dict[str, str] = {}
-        read = {name: self._output(name, output) for name, output in outputs.items()}
+        read = {name: self._make_output_reader(name, output) for name, output in outputs.items()}
         self.others: list[AbstractIntegrator] = []
         self.order = 0
         self.integrator = self._with_others(modelled, integrator) if slopes else integrator
@@ -138,7 +138,7 @@ class Unit:
         self.states: list[str] = []
         self.contacts: list[str] = []
 
-    def _output(self, name: str, output: Any) -> Callable:
+    def _make_output_reader(self, name: str, output: Any) -> Callable:
         """What reads an output of a run; its unit goes to `units`."""
         if callable(output):
             self.units[name] = unit_of(output, self.mechanism)
@@ -224,7 +224,7 @@ class Unit:
             raise ValueError(sentence) from None
         code = "".join(one.text for one in self.made.values())
         self.token = hashlib.sha256(code.encode()).hexdigest()[:32]
-        self.outputs = self._outputs()
+        self.outputs = self._output_variables()
         lines = [
             check.sentence.replace("{figure:.2g}", "%.2g").format(place=place, limit=check.limit)
             for check, place in checks
@@ -273,7 +273,7 @@ class Unit:
             ]
         )
 
-    def _outputs(self) -> list[Variable]:
+    def _output_variables(self) -> list[Variable]:
         """The outputs, each number of an array by its index."""
         shapes = jax.eval_shape(self.functions.read, self.functions.run.leaves, self.row)
         return [

@@ -21,8 +21,13 @@ from jaxclear.formulations.base import (
     check_play,
     clearance_contact,
 )
-from jaxclear.formulations.contact_rows import TimeStep, contact_points
-from jaxclear.formulations.contacts_over_step import damped, damped_forces, laws_of_contacts
+from jaxclear.formulations.contact_rows import (
+    TimeStep,
+    contact_points,
+    damped,
+    follows_depth,
+    laws_of_contacts,
+)
 from jaxclear.formulations.films_over_step import film_losses, films_of
 from jaxclear.formulations.impact_speed import ContactMotion, remembered
 from jaxclear.formulations.joint_friction import friction_losses, rubbing
@@ -33,6 +38,7 @@ from jaxclear.ground import sparse as sp
 from jaxclear.ground.compiling import map_grouped
 from jaxclear.ground.grouping import unstacked
 from jaxclear.multibody import contact_point, kinematics
+from jaxclear.multibody.contact_point import impact_speed_now
 from jaxclear.multibody.damped_stops import forces_at, with_damping_ratios
 from jaxclear.multibody.forces import Forces, contact_reports, pressing_of, relative_motions
 from jaxclear.multibody.state import (
@@ -208,14 +214,16 @@ class CompliantContact(AbstractFormulation):
         Returns:
             forces [N; N m of flanks], an array.
         """
-        system, (depths, rates) = model.system, motion
-        places = impact_speed_places(model.layout)
-        speeds = [None if place is None else state[place] for place in places]
-        forces = damped_forces(laws_of_contacts(system), depths, rates, speeds)
-        for name in model.layout.plays:
-            flanks = range(len(forces), len(forces) + 2)
-            train = system.transmissions[name]
-            forces += [torque_on_flanks(train, depths[k], rates[k]) for k in flanks]
+        system, forces = model.system, list[Any]()
+        motions = zip(*motion, strict=True)
+        places = zip(laws_of_contacts(system), impact_speed_places(model.layout), strict=True)
+        for (law, place), (depth, rate) in zip(places, motions, strict=False):
+            speed = None if place is None else impact_speed_now(state[place], rate)
+            damps = not follows_depth(law)
+            forces.append(law.contact.normal_force(depth, rate, speed) if damps else 0.0)
+        for k, moving in enumerate(motions):
+            train = system.transmissions[model.layout.plays[k // 2]]
+            forces.append(torque_on_flanks(train, *moving))
         return jnp.asarray(sp.stack(forces))
 
     def slips(self, model: Model, time: Any, state: State) -> Float[Array, "contacts 3"]:
@@ -372,7 +380,10 @@ class CompliantContact(AbstractFormulation):
         form = jax.tree.structure(midpoint_step.blank_start(model))
         last = jax.tree.unflatten(form, unstacked(warm_start))
         entries, how = model.entries(state), (bias, newton_iterations)
-        after, now = midpoint_step.step(model, time_step, entries, last, *how)
+        after, now, motion = midpoint_step.step(model, time_step, entries, last, *how)
+        if motion:
+            contacts = ContactMotion(*map(sp.stack, zip(*motion, strict=True)))
+            now = now._replace(forces=unstacked(self.normal_forces(model, state, contacts)))
         return sp.stack(after), sp.stack(jax.tree.leaves(now))
 
 

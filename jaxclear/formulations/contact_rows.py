@@ -261,6 +261,22 @@ def contact_points(
     return poses, tuple(points)
 
 
+def laws_of_contacts(system: System) -> list[ContactLaws]:
+    """Of every possible contact, in the order of the state."""
+    return [laws for bearing in system.bearings.values() for laws in bearing.contact_laws]
+
+
+def follows_depth(laws: ContactLaws) -> bool:
+    """Whether a contact presses hardest where it is deepest, or by a law that follows its worn
+    radius, which is not known between saving times."""
+    return laws.contact.lossless or laws.unfitted is not None
+
+
+def damped(system: System) -> bool:
+    """Whether some contact's largest force is not told by its depth."""
+    return not all(map(follows_depth, laws_of_contacts(system)))
+
+
 def row_rates(joint, gap_functions, pose, velocity, spin) -> tuple:
     """Rate of the indentation and components of slip of each contact, one after the other."""
     rates: list[Any] = []

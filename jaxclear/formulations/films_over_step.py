@@ -14,9 +14,9 @@ import jax
 import jax.numpy as jnp
 
 from jaxclear.components.journal_film import JournalFilm, film_of
-from jaxclear.formulations.contact_rows import MiddleOfStep, split
+from jaxclear.formulations.contact_rows import MiddleOfStep
 from jaxclear.formulations.delassus import ContactSolution, ImplicitContact, LinearLaws
-from jaxclear.formulations.laws_over_step import Averaging
+from jaxclear.formulations.laws_over_step import Averaging, Outset
 from jaxclear.formulations.model import Model
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.factorisation import eliminate
@@ -50,14 +50,20 @@ class FilmOverStep(NamedTuple):
     last: tuple
     reaches: tuple
 
-    def linear(self, rates: tuple) -> LinearLaws:
+    def outset(self, unmoved: tuple, carried_on: tuple) -> Outset:
+        """From the rates of the step before, or without one from those without the film."""
+        before = zip(self.last, turning(self.arm, self.spin), unmoved, strict=True)
+        rates = tuple(jnp.where(self.has_previous, v - t, rate) for v, t, rate in before)
+        return Outset(unmoved, rates, (0.0,) * AXES)
+
+    def linear(self, rates: tuple, forces: tuple) -> LinearLaws:
         """None: films are solved for behind what is linear (`solve_with_films`)."""
         return LinearLaws(*[[0.0] * AXES] * 3)
 
     def tangent(self, rates: tuple, frozen: Any) -> tuple[tuple, list]:
         """Forces at mean rates, and by how much each falls with each rate; the journal where the
         rates lead, or where `frozen` where those of the step before do."""
-        half = self.reaches[1]
+        half = self.reaches[0][1]
 
         def force(rates):
             half_spin, before = turning(self.arm, self.spin), self.last
@@ -71,11 +77,6 @@ class FilmOverStep(NamedTuple):
         value, along = jax.jvp(force, (rates,), ((one, none),))
         _, across = jax.jvp(force, (rates,), ((none, one),))
         return value, [[-along[i], -across[i]] for i in range(AXES)]
-
-    def first_rates(self, free: tuple) -> list:
-        """Rates to set out from: those of the step before, or without one the `free` ones."""
-        before = zip(self.last, turning(self.arm, self.spin), free, strict=True)
-        return [jnp.where(self.has_previous, v - t, rate) for v, t, rate in before]
 
     def mean_velocity(self, rates: tuple) -> tuple:
         """Mean velocity of the journal in the bearing at mean rates [m/s]."""
@@ -150,7 +151,9 @@ def films_over_step(
         rates = tuple(combine_rates(size, units) for size in sizes)
         directions = tuple(along(*size) for size in sizes)
         places = first, arm, spin, last
-        result.append(FilmOverStep(name, film, directions, rates, *places, averaging.reaches))
+        result.append(
+            FilmOverStep(name, film, directions, rates, *places, (averaging.reaches,) * AXES)
+        )
     return tuple(result)
 
 
@@ -227,20 +230,12 @@ def unit_vector(size: int, index: int) -> list:
     return [float(i == index) for i in range(size)]
 
 
-def per_film(films: tuple[FilmOverStep, ...], values: Any) -> list[tuple]:
-    """One value per row, of which the last are those of films, as one tuple per film."""
-    first = len(values) - AXES * len(films)
-    return split(values[first:], [AXES] * len(films))
-
-
 def with_films(
-    forces: Forces, films: tuple[FilmOverStep, ...], solution: ContactSolution
+    forces: Forces, films: tuple[FilmOverStep, ...], pushes: list[tuple], rates: list[tuple]
 ) -> Forces:
-    """The forces with those of films in their mean over a step, and what these take."""
-    rows, loss = [], forces.damping_loss
-    means = per_film(films, solution.forces), per_film(films, solution.rates)
-    for film, pushes, speeds in zip(films, *means, strict=True):
-        pairs = zip(film.directions, pushes, strict=True)
-        rows += [Row(film.name, direction, force) for direction, force in pairs]
-        loss = sp.sub(loss, sp.dot(pushes, speeds))
+    """The forces with those of films, `pushes` at mean `rates` over a step, and what these take."""
+    rows, loss = list[Row](), forces.damping_loss
+    for film, push, rate in zip(films, pushes, rates, strict=True):
+        rows += map(Row, (film.name,) * AXES, film.directions, push)
+        loss = sp.sub(loss, sp.dot(push, rate))
     return with_rows(forces._replace(damping_loss=loss), rows) if films else forces

@@ -43,17 +43,15 @@ UNMOVED = 1e-12
 
 
 class NonCollidingSettings(NamedTuple):
-    """Most sweeps over the joints in a step, change of the friction at which they end relative to
-    its bound, and the width over which friction is rounded at its bound, relative to it (None:
-    exact)."""
+    """Most sweeps over the joints in a step, and change of the friction at which they end relative
+    to its bound."""
 
     max_sweeps: Any
     tolerance: Any
-    relaxation: Any | None
 
     def solver(self) -> BoxedGaussSeidel:
         """What finds the friction."""
-        return BoxedGaussSeidel(self.tolerance, self.max_sweeps, self.relaxation)
+        return BoxedGaussSeidel(self.tolerance, self.max_sweeps)
 
 
 def _carried(joints, response: FrictionResponse) -> Callable:
@@ -211,7 +209,7 @@ def regularised_friction(fixed, speeds, response: FrictionResponse) -> JointFric
     return JointFriction(free, none, tuple(ratios), carried, jnp.ones(count), places)
 
 
-SETTINGS = NonCollidingSettings(200.0, 1e-13, None)
+SETTINGS = NonCollidingSettings(200.0, 1e-13)
 # Last change of friction in a search, relative to the largest, beyond which there is no answer.
 LOOSE = 1e-6
 

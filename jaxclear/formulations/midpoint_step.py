@@ -16,68 +16,101 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jaxclear.formulations import contact_rows, laws_over_step
-from jaxclear.formulations.contact_rows import MiddleOfStep, TimeStep, by_joint
-from jaxclear.formulations.contacts_over_step import (
-    ContactOverStep,
-    Step,
+from jaxclear.formulations import contact_rows
+from jaxclear.formulations.contact_rows import (
+    MiddleOfStep,
+    TimeStep,
+    by_joint,
     damped,
-    forces_at_start,
-    memories_after,
-    passive_rates_over,
+    joint_reports,
+    split,
 )
-from jaxclear.formulations.delassus import ContactSolution, LinearLaws, implicit_contact
+from jaxclear.formulations.delassus import (
+    ContactSolution,
+    ImplicitContact,
+    LinearLaws,
+    implicit_contact,
+)
 from jaxclear.formulations.films_over_step import (
     AXES,
+    FilmOverStep,
+    film_losses,
     films_of,
     films_over_step,
-    per_film,
     solve_with_films,
     velocity_lag,
+    with_films,
     without_films,
 )
-from jaxclear.formulations.impact_speed import taken_in_flight
-from jaxclear.formulations.laws_over_step import Averaging, PastSlip
+from jaxclear.formulations.laws_over_step import (
+    Averaging,
+    ContactOverStep,
+    Outset,
+    PastSlip,
+    RowAtStart,
+    SpringOverStep,
+    contact_at_start,
+    mean_rates,
+    springs_over_step,
+)
 from jaxclear.formulations.model import Model
 from jaxclear.formulations.permanent_reactions import Reaction
-from jaxclear.formulations.rubbing_over_step import joints_over_step
-from jaxclear.formulations.shafts_over_step import shafts_over_step
-from jaxclear.formulations.state_rate import drift
+from jaxclear.formulations.rubbing_over_step import JointOverStep, joints_over_step, rubbed
+from jaxclear.formulations.state_rate import (
+    Passive,
+    drift,
+    followed_rates,
+    link_accelerations,
+    passive_rates,
+)
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.compiling import map_grouped, map_many
 from jaxclear.ground.grouping import MANY, unstacked
 from jaxclear.ground.numerics import positive_part, safe_divide, safe_sqrt
-from jaxclear.multibody.kinematics import JacobianRow, along
-from jaxclear.multibody.state import components, unpack_memories, unpack_motion
+from jaxclear.multibody import kinematics
+from jaxclear.multibody.contact_point import (
+    ActingContact,
+    PointState,
+    slip_speed,
+)
+from jaxclear.multibody.damped_stops import forces_at
+from jaxclear.multibody.kinematics import along
+from jaxclear.multibody.rows import LinearRate
+from jaxclear.multibody.state import components, pack_memories, unpack_memories, unpack_motion
 from jaxclear.multibody.system import rubbing_joints
 from jaxclear.multibody.transmissions import within_gaps
 
 # Weight of the depth of closed contacts against staying put, where coordinates are corrected.
 STIFFNESS = 100.0
-# Added to the inverse of an effective mass [1/kg], so that a contact which nothing can move has
-# one.
-LEAST_LIGHTNESS = 1e-12
 
 
 class RowRead(NamedTuple):
-    """A row of a Jacobian with what some vectors are where it has entries."""
+    """A row of a Jacobian with its rate, and what some vectors are where it has entries: the
+    speeds' change to the start, accelerations without contact and by that of the step before, the
+    diagonal of the mass matrix. Rows of other speeds are alike."""
 
+    rate: Any
     entries: tuple
-    read: tuple[tuple, ...]
+    vectors: tuple[tuple, ...]
 
-    def along(self, which: int) -> Any:
-        """The row times one of the vectors."""
-        return sp.dot(self.entries, self.read[which])
-
-    def lightness(self, which: int) -> Any:
-        """As `contact_rows.lightness`, the diagonal being one of the vectors."""
-        pairs = zip(self.entries, self.read[which], strict=True)
-        return sp.total(entry * entry / mass for entry, mass in pairs)
+    def at_start(self) -> RowAtStart:
+        """The row as the step begins."""
+        back, free, last = (sp.dot(self.entries, vector) for vector in self.vectors[:3])
+        pairs = zip(self.entries, self.vectors[3], strict=True)
+        lightness = sp.total(entry * entry / mass for entry, mass in pairs)
+        return RowAtStart(sp.add(self.rate, back), free, last, lightness)
 
 
-def read_by(row: JacobianRow, *vectors: Sequence[Any]) -> RowRead:
-    """A row with the entries of vectors that it reads."""
-    return RowRead(tuple(row.values()), tuple(tuple(vector[j] for j in row) for vector in vectors))
+def read_rows(rates: Sequence[LinearRate], vectors: tuple) -> tuple[RowRead, ...]:
+    """Rates with the entries of vectors that their rows read."""
+    return tuple(
+        RowRead(
+            rate.value,
+            tuple(rate.row.values()),
+            tuple(tuple(v[j] for j in rate.row) for v in vectors),
+        )
+        for rate in rates
+    )
 
 
 class WarmStart(NamedTuple):
@@ -114,60 +147,100 @@ def blank_start(model: Model) -> WarmStart:
     )
 
 
+class Step(NamedTuple):
+    """All that a step starts from; rows of contacts come first, then those of `others`."""
+
+    model: Model
+    time_step: TimeStep
+    averaging: Averaging
+    middle: MiddleOfStep
+    equations: ImplicitContact
+    contacts: list[ContactOverStep]
+    joints: tuple[JointOverStep, ...]
+    springs: tuple[SpringOverStep, ...]
+    films: tuple[FilmOverStep, ...]
+
+    @property
+    def others(self) -> tuple[Any, ...]:
+        """Ideal joints that rub, couplings with stiffness, films."""
+        return (*self.joints, *self.springs, *self.films)
+
+    @property
+    def laws(self) -> tuple[Any, ...]:
+        """All laws over the step, in the order of their rows."""
+        return (*self.contacts, *self.others)
+
+    @property
+    def reaches(self) -> list:
+        """Change of each row's rate by the acceleration that the rows add to it [s]."""
+        return [reach for law in self.laws for reach, _ in law.reaches]
+
+    def per_law(self, values: Any) -> list[tuple]:
+        """One value per row, as one tuple for each of the laws."""
+        return split(values, [len(law.reaches) for law in self.laws])
+
+
 def step(
     model: Model, time_step: TimeStep, entries: list, last: WarmStart, bias: Any, iterations: int
-) -> tuple[list, WarmStart]:
-    """Entries of the state after the step, and what it hands on; `last` is what it was handed,
-    `bias` that of the mean forces towards the step's end, `iterations` those of Newton's method on
-    the contact laws."""
+) -> tuple[list, WarmStart, list]:
+    """Entries of the state after the step, what it hands on but for normal forces, and where some
+    contact damps (depth, rate) of each as the step begins; `last` is what it was handed, `bias`
+    that of the mean forces towards the step's end, `iterations` those of Newton's method on the
+    contact laws."""
     h = time_step.length
     averaging, model = Averaging(h, bias), without_films(model)
     accelerations = sp.each(lambda a, b: a + b, last.smooth, last.contact)
     middle = contact_rows.middle_of_step(model, time_step, entries, accelerations)
-    shafts, free_motion = shafts_over_step(
+    springs, free_motion = springs_over_step(
         model, middle.free_motion, middle.change_to(middle.v), averaging
     )
     middle = middle._replace(free_motion=free_motion)
     joints = joints_over_step(model, middle, last.reactions, averaging)
     films = films_over_step(model.system, middle, last.films, time_step.start, averaging)
-    further = [
-        rate.row for each in (joints, shafts, films) for other in each for rate in other.rates
-    ]
+    others: tuple = (*joints, *springs, *films)
+    further = [rate.row for law in others for rate in law.rates]
     equations = implicit_contact(middle.free_motion, further)
-    contacts = _contacts_at_start(model, averaging, middle, equations.free, entries, last)
-    step = Step(model, time_step, averaging, middle, contacts, equations, joints, shafts, films)
-    solution = _iterate(step, last.contact, iterations)
+    step = Step(model, time_step, averaging, middle, equations, [], joints, springs, films)
+    step, outset = _set_out(step, entries, last)
+    solution = _iterate(step, outset, iterations)
     free, caused = equations.free, solution.accelerations
     halfway = lambda x, k, c: x + 0.5 * h * (k + (1 + bias) * c)
     mean = sp.each(halfway, middle.v, free, caused)
     q = middle.end(model, mean, h)
     v = sp.each(lambda x, k, c: x + h * (k + c), middle.v, free, caused)
-    q, depths = _settle(step, solution, q, v)
-    slid = [
-        laws_over_step.at_end(contact.slips, contact.braking, rates[1:])
-        for contact, rates in zip(contacts, step.per_contact(solution.rates), strict=True)
+    rates, forces = map(step.per_law, solution[:2])
+    q, depths = _settle(step, rates, forces, q, v)
+    memories = [
+        law.memory_after(moved, -force[0])
+        for law, moved, force in zip(step.contacts, rates, forces, strict=False)
     ]
-    after = [*q, *v, *memories_after(step, solution)]
-    passive, reactions = passive_rates_over(step, solution, slid, mean)
+    by_bearing = dict(zip(model.system.bearings, by_joint(model.system, memories), strict=True))
+    after = [*q, *v, *pack_memories(model.layout, by_bearing)]
+    slid = [law.slips_at_end(moved) for law, moved in zip(step.contacts, rates, strict=False)]
+    passive, reactions = _passive_rates(step, solution, rates, forces, slid, mean)
     after += [x + h * rate for x, rate in zip(entries[len(after) :], passive, strict=True)]
     after = within_gaps(model.system, model.layout, after)
     past = [
-        laws_over_step.handed_on(contact.slips, end, forces[1:])
-        for contact, end, forces in zip(
-            contacts, slid, step.per_contact(solution.forces), strict=True
+        tuple(
+            PastSlip(traction, slip, slip + start.turn)
+            for start, slip, traction in zip(law.slips, end, force[1:], strict=True)
         )
+        for law, end, force in zip(step.contacts, slid, forces, strict=False)
     ]
-    faster = [h * along(contact.point.rates[0].row, last.surplus) for contact in contacts]
-    pressed = forces_at_start(model.system, contacts, faster)
-    faster = surplus(bias, free, caused) if contacts else []
-    means = per_film(films, solution.rates)
-    means = [film.mean_velocity(rates) for film, rates in zip(films, means, strict=True)]
+    motion = []
+    if last.forces:
+        pairs = zip(step.contacts, middle.free_motion.contacts, strict=True)
+        moving = [x.approach + h * along(y.rates[0].row, last.surplus) for x, y in pairs]
+        motion = list(zip([law.depth for law in step.contacts], moving, strict=True))
+    faster = surplus(bias, free, caused) if step.contacts else []
+    means = rates[len(rates) - len(films) :]
+    means = [film.mean_velocity(moved) for film, moved in zip(films, means, strict=True)]
     if films:
         fast = [x + h * more for x, more in zip(v, faster, strict=True)]
         rows = len(solution.rates)
         lag = velocity_lag(model.system, films, (time_step.end, q, fast), means, equations, rows)
         faster = [sp.add(x, more / h) for x, more in zip(faster, lag, strict=True)]
-    return after, WarmStart(free, caused, depths, past, reactions, means, faster, pressed)
+    return after, WarmStart(free, caused, depths, past, reactions, means, faster, []), motion
 
 
 def surplus(bias: Any, free: list, caused: list) -> list:
@@ -182,163 +255,80 @@ def surplus(bias: Any, free: list, caused: list) -> list:
     return sp.each(lambda k: 0.5 * bias * share * k, caused)
 
 
-def _contacts_at_start(
-    model: Model,
-    averaging: Averaging,
-    middle: MiddleOfStep,
-    free: list,
-    entries: list,
-    last: WarmStart,
-) -> list[ContactOverStep]:
-    """The contacts with which a step begins; `free`: accelerations without contact."""
-    back = middle.change_to(middle.v)
-    half, diagonal = 0.5 * averaging.length, middle.free_motion.diagonal
-    memories = unpack_memories(model.layout, entries)
+def _set_out(step: Step, entries: list, last: WarmStart) -> tuple[Step, Outset]:
+    """The step with its contacts, and from where its laws set out."""
+    middle, averaging = step.middle, step.averaging
+    points = middle.free_motion.contacts
+    back, diagonal = middle.change_to(middle.v), middle.free_motion.diagonal
+    vectors = back, step.equations.free, last.contact, diagonal
+    memories = unpack_memories(step.model.layout, entries)
     remembered = [memory for joint in memories.values() for memory in joint]
 
-    def one(averaging, laws, indentation, rate, rows, depth, memory, now, past):
-        normal, *across = rows
-        approach = sp.add(rate, normal.along(0))
-        if memory.impact_speed is not None:
-            gain = half * normal.along(1)
-            flight = depth, indentation, approach, gain
-            speed = taken_in_flight(memory.impact_speed, flight, averaging.length)
-            memory = memory._replace(impact_speed=speed)
-        mass = 1.0 / (normal.lightness(2) + LEAST_LIGHTNESS)
-        braking = laws_over_step.braking(
-            laws,
-            *averaging,
-            depth + averaging.length * positive_part(approach),
-            [row.lightness(2) for row in across],
-        )
-        sliding = laws_over_step.at_start(now, past, depth)
-        return depth, approach, mass, memory, braking, sliding
+    def one(averaging, laws, indentation, rows, *past):
+        rows = [row.at_start() for row in rows]
+        return contact_at_start(averaging, laws, indentation, rows, *past)
 
-    points = middle.free_motion.contacts
-    slips = [tuple(rate.at(back) for rate in point.acting[1:]) for point in points]
     calls = [
         (
-            averaging,
-            *(point.laws, point.gap_function.indentation, point.rates[0].value),
-            tuple(read_by(rate.row, back, free, diagonal) for rate in point.acting),
-            *rest,
+            *(averaging, point.laws, point.gap_function.indentation),
+            *(read_rows(point.acting, vectors), *past),
         )
-        for point, *rest in zip(points, last.depths, remembered, slips, last.slips, strict=True)
+        for point, *past in zip(points, last.depths, remembered, last.slips, strict=True)
     ]
     result = map_many(one, calls)
-    return [ContactOverStep(point, *rest) for point, rest in zip(points, result, strict=True)]
-
-
-def _first_rates(step: Step, last: list) -> tuple[list, list, list]:
-    """Rates of the rows without contact, those from which the iteration sets out, and the forces
-    that belong to these.
-
-    A contact that is closed at the start sets out from the forces of the step before, one that is
-    open from where an impact would end.
-    """
-    free = step.equations.free
-    unmoved: list[Any] = []
-    first: list[Any] = []
-    forces: list[Any] = []
-
-    def one(averaging, laws, depth, approach, mass, braking, slips, rows):
-        closed, (normal, *across) = depth > 0, rows
-        reached = approach + 0.5 * averaging.length * normal.along(0)
-        free_depth = depth + averaging.length * reached
-        deepest = laws_over_step.deepest(laws, mass, approach, free_depth)
-        carried_on = reached + averaging.reach * normal.along(1)
-        initial = jnp.where(closed, carried_on, (deepest - depth) / averaging.length)
-        result = [(reached, initial, 0.0)]
-        for slip, row in zip(slips, across, strict=True):
-            rate = laws_over_step.unhindered(slip, braking, row.along(0))
-            traction = jnp.where(closed, slip.traction, 0.0)
-            result.append((rate, jnp.where(closed, slip.current, rate), traction))
-        return tuple(result)
-
-    calls = [
-        (
-            *(step.averaging, contact.point.laws, contact.depth, contact.approach),
-            *(contact.mass, contact.braking, contact.slips),
-            tuple(read_by(rate.row, free, last) for rate in contact.point.acting),
-        )
-        for contact in step.contacts
+    contacts = [
+        ContactOverStep(averaging, point.laws, *values)
+        for point, (values, _) in zip(points, result, strict=True)
     ]
-    for rows in map_many(one, calls):
-        for rate, initial, force in rows:
-            unmoved.append(rate)
-            first.append(initial)
-            forces.append(force)
-    back = step.middle.change_to(step.middle.v)
-    for rate, (reach, time) in ((r, other.reaches) for other in step.others for r in other.rates):
-        unmoved.append(sp.add(rate.at(back), time * along(rate.row, free)))
-        first.append(sp.add(unmoved[-1], reach * along(rate.row, last)))
-        forces.append(0.0)
-    if step.films:
-        films = zip(step.films, per_film(step.films, unmoved), strict=True)
-        first = first[: -AXES * len(step.films)]
-        first += [rate for film, free_rates in films for rate in film.first_rates(free_rates)]
-    return unmoved, first, forces
+    outsets = [outset for _, outset in result]
+    for law in step.others:
+        rows = [row.at_start() for row in read_rows(law.rates, vectors)]
+        outsets.append(law.outset(*mean_rates(rows, law.reaches)))
+    together = (tuple(x for outset in outsets for x in outset[part]) for part in range(3))
+    return step._replace(contacts=contacts), Outset(*together)
 
 
-def _iterate(step: Step, last: list, iterations: int) -> ContactSolution:
+def _iterate(step: Step, outset: Outset, iterations: int) -> ContactSolution:
     """Newton on the normal forces; friction is solved for at each contact by itself, then the
     contacts move each other. A loop: written out it runs 20 % faster, but its derivatives take six
     times as long to compile.
     """
-    unmoved, rates, forces = _first_rates(step, last)
-    equations, reaches = step.equations, step.reaches()
-    if not rates:
+    equations, reaches, unmoved = step.equations, step.reaches, list(outset.unmoved)
+    if not unmoved:
         return equations.solve([], [], LinearLaws([], [], []))
-    size = len(unmoved)
 
     def improve(solution, turn):
         rates, forces = map(unstacked, solution[:2])
-        tangents = [
-            (*film.tangent(film_rates, turn == 0), film_rates)
-            for film, film_rates in zip(step.films, per_film(step.films, rates), strict=True)
-        ]
+        by_law = step.per_law(rates)
+        films = zip(step.films, by_law[len(by_law) - len(step.films) :], strict=True)
+        tangents = [(*film.tangent(moved, turn == 0), moved) for film, moved in films]
         laws = _linear_laws(step, rates, forces)
         better = solve_with_films(equations, reaches, unmoved, laws, tangents)
         return ContactSolution(*map(sp.stack, better)), None
 
-    counts = (size, size, len(equations.free), len(equations.multipliers))
-    blank = ContactSolution(*map(jnp.zeros, counts))
-    blank = blank._replace(rates=sp.stack(rates), forces=sp.stack(forces))
+    counts = len(equations.free), len(equations.multipliers)
+    first = map(sp.stack, outset[1:])
+    blank = ContactSolution(*first, *map(jnp.zeros, counts))
     turns = jnp.arange(iterations) if step.films else None
     solution = jax.lax.scan(improve, blank, turns, length=iterations)[0]
     return ContactSolution(*map(unstacked, solution))
 
 
 def _linear_laws(step: Step, rates: list, forces: list) -> LinearLaws:
-    """The laws of all contacts about given rates and forces; alike joints are traced once."""
+    """The laws about given rates and forces; alike joints are traced once."""
 
-    def tangents(laws, memories, averaging, *each):
-        return tuple(
-            laws_over_step.tangent(law, memory, averaging, *rest)
-            for law, memory, *rest in zip(laws, memories, *each, strict=True)
-        )
+    def linear(laws, rates, forces):
+        return tuple(law.linear(*about) for law, *about in zip(laws, rates, forces, strict=True))
 
-    system = step.model.system
-    parts = zip(
-        by_joint(system, [contact.point.laws for contact in step.contacts]),
-        by_joint(system, [contact.memory for contact in step.contacts]),
-        by_joint(system, [contact.depth for contact in step.contacts]),
-        by_joint(system, step.per_contact(rates)),
-        by_joint(system, step.per_contact(forces)),
-        by_joint(system, [contact.braking for contact in step.contacts]),
-        strict=True,
-    )
-    calls = [(laws, memory, step.averaging, *rest) for laws, memory, *rest in parts]
-    result = [tangent for joint in map_grouped(tangents, calls) for tangent in joint]
-    forces = [force for pushes, _ in result for force in pushes]
-    dampings = [damping for _, falls in result for damping in falls]
-    laws = LinearLaws(forces, dampings, list(rates[: len(forces)]))
-    for other, speeds in zip(step.others, step.per_other(rates), strict=True):
-        laws = LinearLaws(*([*a, *b] for a, b in zip(laws, other.linear(speeds), strict=True)))
-    return laws
+    values = step.laws, step.per_law(rates), step.per_law(forces)
+    calls = list(zip(*(by_joint(step.model.system, each) for each in values), strict=True))
+    result = [each for joint in map_grouped(linear, calls) for each in joint]
+    every = list(zip(*values, strict=True))
+    result += [law.linear(*about) for law, *about in every[len(result) :]]
+    return LinearLaws(*([x for laws in result for x in laws[part]] for part in range(3)))
 
 
-def _settle(step: Step, solution: ContactSolution, q: list, v: list) -> tuple[list, list]:
+def _settle(step: Step, rates: list, forces: list, q: list, v: list) -> tuple[list, list]:
     """Coordinates moved, speeds kept, so that closed contacts are as deep as the forces have worked
     for; and these depths.
 
@@ -350,42 +340,100 @@ def _settle(step: Step, solution: ContactSolution, q: list, v: list) -> tuple[li
     system = step.model.system
     motion = unpack_motion(system, [*q, *v])
     true_depths = contact_rows.indentations(step.model, step.time_step.end, *motion)
-    led = _depths_worked_for(step, solution)
+    led = map_many(
+        lambda law, rate, force: law.depth_worked_for(rate, force),
+        [(law, r[0], f[0]) for law, r, f in zip(step.contacts, rates, forces, strict=False)],
+    )
     unmoved, weights = [], []
     for contact, true, assumed in zip(step.contacts, true_depths, led, strict=True):
-        others = [0.0] * (contact.point.active - 1)
+        others = [0.0] * (len(contact.reaches) - 1)
         closed = (true > 0) | (assumed > 0)
         weights += [jnp.where(closed, STIFFNESS * contact.mass, 0.0), *others]
         unmoved += [true - assumed, *others]
-    further = [0.0 for other in step.others for _ in other.rates]
+    nothing = [0.0] * len(step.reaches)
+    further = nothing[len(unmoved) :]
     unmoved, weights = unmoved + further, weights + further
-    nothing = [0.0] * len(unmoved)
     ones = [1.0] * len(unmoved)
     shift = step.equations.solve(ones, unmoved, LinearLaws(nothing, weights, nothing))
     depths = []
-    for assumed, change in zip(led, step.per_contact(shift.rates), strict=True):
+    for assumed, change in zip(led, step.per_law(shift.rates), strict=False):
         moved = assumed + change[0]
         depths.append(jnp.where(moved > 0, jnp.minimum(positive_part(assumed), moved), moved))
     return drift(system, q, q, shift.accelerations, 1.0), depths
 
 
-def _depths_worked_for(step: Step, solution: ContactSolution) -> list:
-    """Indentations at the end of the step: where the rates lead, but no deeper than the forces have
-    worked for. (An unfinished iteration ends with less than the law's force at the depth it
-    reaches.)"""
-    rates, forces = step.per_contact(solution.rates), step.per_contact(solution.forces)
-
-    def one(averaging, laws, memory, depth, rate, force):
-        law = laws_over_step.mean_force(laws, memory, averaging, depth, rate)
-        share = jnp.clip(safe_divide(-force, law), 0.0, 1.0)
-        low, end = positive_part(depth), depth + averaging.length * rate
-        return jnp.where(end > low, low + share * (end - low), end)
-
-    each = zip(step.contacts, rates, forces, strict=True)
-    return map_many(
-        one,
-        [
-            (step.averaging, contact.point.laws, contact.memory, contact.depth, rate[0], force[0])
-            for contact, rate, force in each
-        ],
+def _passive_rates(
+    step: Step, solution: ContactSolution, rates: list, forces: list, ends: list, mean: list
+) -> tuple[list, tuple[Reaction, ...]]:
+    """(rates of what only follows the motion, with the forces that the step was made with;
+    reactions of ideal joints that rub). `ends`: slips at its end along the directions in its
+    middle; `mean`: speeds over it."""
+    model, free_motion = step.model, step.middle.free_motion
+    layout, system = model.layout, model.system
+    # Of all that the speeds gain by contact, so also where an iteration ends with a pull.
+    normal = [-part[0] for part in forces[: len(step.contacts)]]
+    pressing = [sp.total(part) for part in by_joint(system, normal)]
+    if not (layout.wear or layout.energies or step.joints or step.films):
+        return [*followed_rates(system, layout, free_motion.forces), *pressing], ()
+    change = step.middle.change_to(mean)
+    acting = _acting_contacts(step, rates, forces, ends, change)
+    reports = joint_reports(system, free_motion.poses, acting)
+    applied = free_motion.forces._replace(reports=reports)
+    if layout.energies or step.joints or step.films:
+        motion = unpack_motion(system, [*step.middle.halfway, *step.middle.predicted])
+        motions = free_motion.forces.motions
+        time, followed = step.time_step.middle, applied.followed
+        if step.films:
+            # Speeds at its start alternate about those that stiff films determine.
+            motion = unpack_motion(system, [*step.middle.halfway, *mean])
+            motions = kinematics.link_motions(system, *motion, time)
+        applied = forces_at(system, motions, reports, *motion, time, followed)
+        behind = len(rates) - len(step.films)
+        applied = with_films(applied, step.films, forces[behind:], rates[behind:])
+        pressing += film_losses(system, applied)
+    accelerations, multipliers = (
+        [sp.add(a, b) for a, b in zip(free, caused, strict=True)]
+        for free, caused in (
+            (step.equations.free, solution.accelerations),
+            (step.equations.multipliers, solution.multipliers),
+        )
     )
+    total = link_accelerations(system, accelerations, tuple(multipliers))
+    passive, reactions = Passive(), tuple[Reaction, ...]()
+    if step.joints:
+        pairs = zip(step.joints, forces[len(step.contacts) :], strict=False)
+        rubs = [x for joint, part in pairs for x in joint.friction(part, change)]
+        # The accelerations contain the joints' friction, so the power of a drive asks for it too.
+        rubbing = applied, step.middle, total, rubs, change
+        passive, reactions, applied = rubbed(model, step.joints, *rubbing)
+    return passive_rates(system, layout, applied, total, passive, pressing), reactions
+
+
+def _acting_contacts(
+    step: Step, rates: list, forces: list, ends: list, change: list
+) -> list[ActingContact]:
+    """The contacts with mean forces and rates over the step, and the mean indentation while in
+    contact; `ends`: slips at the end; `change`: from the predicted speeds to the mean ones, which
+    tell how a contact without friction slides.
+    """
+    acting = []
+    points = step.middle.free_motion.contacts
+    for point, law, slid, (rate, *_), (normal, *tractions) in zip(
+        points, step.contacts, ends, rates, forces, strict=False
+    ):
+        pairs, normal = zip(law.slips, slid, strict=True), positive_part(-normal)
+        # Along the directions as they turn.
+        slip, speed = [0.5 * (s.current + end + s.turn) for s, end in pairs], None
+        if law.braking is not None:
+            # Where friction has stopped it within the step, only as long as it took.
+            size = slip_speed(tuple(slip))
+            speed = slip_speed(tuple(tractions))
+            speed = size * law.laws.friction.acting_share(normal, speed, size)
+        slip += [rate.at(change) for rate in point.rates[point.active :]]
+        end = law.depth + step.averaging.length * rate
+        depth = 0.5 * (positive_part(law.depth) + positive_part(end))
+        elastic = law.laws.contact.elastic_force(depth)
+        values = law.laws, point.gap_function, (rate, *slip), normal, tuple(tractions), elastic
+        memory = PointState(None, law.memory.bristles)
+        acting.append(ActingContact(*values, memory, speed, depth))
+    return acting

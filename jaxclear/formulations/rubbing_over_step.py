@@ -16,7 +16,7 @@ from jaxclear.components.clearance import carried_load
 from jaxclear.formulations.contact_rows import MiddleOfStep, lightness
 from jaxclear.formulations.delassus import LinearLaws
 from jaxclear.formulations.joint_friction import passive_of
-from jaxclear.formulations.laws_over_step import Averaging, taken_after
+from jaxclear.formulations.laws_over_step import Averaging, Outset
 from jaxclear.formulations.model import Model
 from jaxclear.formulations.permanent_reactions import (
     PermanentJoint,
@@ -49,11 +49,30 @@ class JointOverStep(NamedTuple):
     load: Any
     reaches: tuple
 
-    def linear(self, rates: tuple) -> LinearLaws:
+    def outset(self, unmoved: tuple, carried_on: tuple) -> Outset:
+        """From the forces of the step before."""
+        return Outset(unmoved, carried_on, (0.0,) * len(unmoved))
+
+    def linear(self, rates: tuple, forces: tuple) -> LinearLaws:
         """Its friction about the speeds along its rows: a damper."""
         none = [0.0] * len(rates)
-        damping = [_share(self.pair, rates) * self.load] * len(rates) if rates else none
-        return LinearLaws(none, damping, none)
+        return LinearLaws(none, [self.resistance(rates)] * len(rates) if rates else none, none)
+
+    def resistance(self, rates: Any) -> Any:
+        """Friction over the sliding speed [N s/m]."""
+        size, joint = rounded_norm(*rates, width=SLIP_ROUNDING), self.pair.joint
+        return joint.friction_ratio(joint.friction.coefficient(size)) / size * self.load
+
+    def friction(self, forces: tuple, change: list) -> list:
+        """Friction [N] of every component, from the forces along the rows; where a drive has the
+        say that of the mean speeds, a `change` from those in the middle."""
+        if self.directions:
+            return [sp.dot(forces, parts) for parts in zip(*self.directions, strict=True)]
+        if self.pair.joint.friction is None:
+            return [0.0 * self.load] * self.pair.joint.components
+        slid = [slip.at(change) for slip in self.slips]
+        resistance = self.resistance(slid)
+        return [-resistance * x for x in slid]
 
 
 def joints_over_step(
@@ -68,9 +87,13 @@ def joints_over_step(
         rates = tuple(combine_rates(direction, slips) for direction in directions)
         ratio = 0.0 if fixed.joint.components == 1 else (0.0,) * fixed.joint.components
         load = carried_load(fixed.joint.carrying_ends(*reaction, ratio))
-        lightnesses = [lightness(rate.row, diagonal) for rate in rates]
-        reach = _taken_at(fixed, load, lightnesses, averaging)
-        result.append(JointOverStep(fixed, slips, directions, rates, load, (reach, reach)))
+        reaches: tuple = ()
+        if rates:
+            mean = sp.total(lightness(rate.row, diagonal) for rate in rates) / len(rates)
+            braked = averaging.length * mean * load
+            braked = braked * fixed.joint.friction.largest_slope(averaging.length)
+            reaches = ((averaging.length * averaging.taken_after(braked),) * 2,) * len(rates)
+        result.append(JointOverStep(fixed, slips, directions, rates, load, reaches))
     return tuple(result)
 
 
@@ -85,53 +108,20 @@ def _directions(joint: PermanentJoint, reaction: Reaction) -> tuple[tuple, ...]:
     return across(tuple(safe_divide(x, size) for x in reaction.force))
 
 
-def _taken_at(joint: PermanentJoint, load: Any, lightnesses: list, averaging: Averaging) -> Any:
-    """After how much of a step friction is taken [s]; `lightnesses` [1/kg]: what unit forces along
-    the joint's rows accelerate these by, about. 0 where none is sought."""
-    if not lightnesses:
-        return 0.0
-    length = averaging.length
-    mean = sp.total(lightnesses) / len(lightnesses)
-    braked = length * mean * load * joint.joint.friction.largest_slope(length)
-    return length * taken_after(averaging.bias, braked)
-
-
-def _share(joint: PermanentJoint, rates: Any) -> Any:
-    """Friction's share of the load over the sliding speed [s/m]."""
-    size = rounded_norm(*rates, width=SLIP_ROUNDING)
-    return joint.joint.friction_ratio(joint.joint.friction.coefficient(size)) / size
-
-
-def friction(joints: tuple[JointOverStep, ...], forces: list[tuple], change: list) -> list:
-    """Friction [N] of every component of every joint, from the forces along the rows; where a drive
-    has the say that of the mean speeds, a `change` from those in the middle."""
-    out: list[Any] = []
-    for joint, force in zip(joints, forces, strict=False):
-        fixed = joint.pair
-        if joint.directions:
-            out += [sp.dot(force, parts) for parts in zip(*joint.directions, strict=True)]
-        elif fixed.joint.friction is None:
-            out += [0.0 * joint.load] * fixed.joint.components
-        else:
-            slid = [slip.at(change) for slip in joint.slips]
-            share = _share(fixed, slid)
-            out += [-share * joint.load * x for x in slid]
-    return out
-
-
 def rubbed(
     model: Model,
     joints: tuple[JointOverStep, ...],
     forces: Forces,
     middle: MiddleOfStep,
     total: Solution,
-    result: tuple[list, list],
+    rubs: list,
+    change: list,
 ) -> tuple[Passive, tuple[Reaction, ...], Forces]:
     """(what the joints wear and lose over a step, their reactions in it, the forces with their
-    friction) under the `forces` of contacts and loads, with these accelerations; `result`:
-    (friction of every component [N], by how much the mean speeds differ from those in the
-    middle)."""
-    system, (rubs, change) = model.system, result
+    friction) under the `forces` of contacts and loads, with these accelerations; `rubs`: friction
+    of every component [N], `change`: by how much the mean speeds differ from those in the
+    middle."""
+    system = model.system
     fixed = touching(system)
     q = unpack_motion(system, [*middle.halfway, *middle.predicted])[0]
     forces = with_friction(system, forces, sp.stack(rubs))

@@ -62,7 +62,7 @@ class Renamed:
         warn(f"{sentence}; the old name goes in the next version.", FutureWarning)
 
 
-def _with_new_members(name: str, bases: tuple, namespace: dict) -> dict:
+def _rename_members(name: str, bases: tuple, namespace: dict) -> dict:
     """What a class defines, what it overrides by an old name under the new one."""
     for base in bases:
         for old in [*namespace]:
@@ -74,7 +74,13 @@ def _with_new_members(name: str, bases: tuple, namespace: dict) -> dict:
 
 
 def with_new_arguments(owner: str, parameters: Container[str], args: dict) -> dict:
-    """Arguments with their new names; warns of old ones, of which the `owner` is known."""
+    """Arguments under their new names; warns of old ones.
+
+    Args:
+        owner: name of the class or function in the warning.
+        parameters: names that it takes now.
+        args: arguments by name, as given.
+    """
     for old, new in RENAMED_ARGUMENTS.items():
         if old in args and old not in parameters and new in parameters and new not in args:
             sentence = (
@@ -89,10 +95,10 @@ class AnsweringMeta(ModuleMeta):
     """Of classes that refuse wrong arguments with a sentence."""
 
     def __new__(mcs, name: str, bases: tuple, namespace: dict, **kwargs: Any):
-        namespace = _with_new_members(name, bases, namespace)
+        namespace = _rename_members(name, bases, namespace)
         check = namespace.get("__check_init__")
         if check is not None and any(isinstance(base, AnsweringMeta) for base in bases):
-            namespace = namespace | {"__check_init__": _after_fields(check)}
+            namespace = namespace | {"__check_init__": _check_after_fields(check)}
         kind = ModuleMeta.__new__(mcs, name, bases, namespace, **kwargs)
         _describe_fields(kind)
         return kind
@@ -109,7 +115,7 @@ class AnsweringMeta(ModuleMeta):
         try:
             return ModuleMeta.__call__(cls, *args, **kwargs)
         except TypeError:
-            sentence = _misfit(cls, args, kwargs)
+            sentence = _describe_misfit(cls, args, kwargs)
             if sentence:
                 raise TypeError(sentence) from None
             raise
@@ -126,7 +132,7 @@ def _describe_fields(kind: Any) -> None:
                 field.metadata = MappingProxyType({**field.metadata, **words})
 
 
-def _after_fields(class_check: Callable[[Any], None]) -> Callable[[Any], None]:
+def _check_after_fields(class_check: Callable[[Any], None]) -> Callable[[Any], None]:
     """A class's own check, which may take for granted that every field holds what it may."""
 
     @functools.wraps(class_check)
@@ -150,15 +156,15 @@ def answering(function: Callable[P, R]) -> Callable[P, R]:
         try:
             return function(*args, **kwargs)
         except TypeError:
-            sentence = _misfit(function, args, kwargs)
+            sentence = _describe_misfit(function, args, kwargs)
             if sentence:
                 raise TypeError(sentence) from None
             raise
 
     signature = inspect.signature(function)
     declared = signature.parameters.values()
-    parameters = [p.replace(annotation=_as_offered(p.annotation)) for p in declared]
-    returned = _as_offered(signature.return_annotation)
+    parameters = [p.replace(annotation=_with_public_name(p.annotation)) for p in declared]
+    returned = _with_public_name(signature.return_annotation)
     called.__signature__ = signature.replace(  # type: ignore[attr-defined]
         parameters=parameters, return_annotation=returned
     )
@@ -176,18 +182,24 @@ class _Offered:
         return PACKAGE_PATH.sub(lambda match: as_typed(match[0]), annotation)
 
 
-def _as_offered(kind: Any) -> Any:
+def _with_public_name(kind: Any) -> Any:
     return _Offered(kind) if PACKAGE_PATH.search(inspect.formatannotation(kind)) else kind
 
 
 def refuse_misfit(called: Callable, args: tuple, kwargs: dict) -> None:
-    """Raises `TypeError` with a sentence where arguments do not fit a function or class."""
-    sentence = _misfit(called, args, kwargs)
+    """Raises `TypeError` with a sentence where arguments do not fit a function or class.
+
+    Args:
+        called: function or class.
+        args: arguments by position.
+        kwargs: arguments by name.
+    """
+    sentence = _describe_misfit(called, args, kwargs)
     if sentence:
         raise TypeError(sentence)
 
 
-def _misfit(called: Callable, args: tuple, kwargs: dict) -> str:
+def _describe_misfit(called: Callable, args: tuple, kwargs: dict) -> str:
     """Why these arguments do not fit a function's signature; "" where they do."""
     signature = inspect.signature(called)
     try:

@@ -16,7 +16,14 @@ from jaxclear.ground.wording import described, listed, unknown
 
 
 def expect(thing: Any, kind: Any, what: str, required: str) -> None:
-    """A thing of a kind."""
+    """Raises `ValueError` unless a thing is of a kind.
+
+    Args:
+        thing: to be checked.
+        kind: class, or tuple of classes.
+        what: begins the message: whose argument it is.
+        required: ends the message: what it must be.
+    """
     if not isinstance(thing, kind):
         built = isinstance(thing, type) and isinstance(kind, type) and issubclass(thing, kind)
         hint = f": build one, {thing.__name__}(...)" if built else ""
@@ -32,7 +39,13 @@ def check_flags(owner: str, **flags: Any) -> None:
 
 
 def check_count(what: str, value: Any, at_least: int = 1) -> None:
-    """A whole number."""
+    """Raises `ValueError` unless a value is a whole number in range.
+
+    Args:
+        what: begins the message: which number it is.
+        value: to be checked; True and False are no numbers.
+        at_least: smallest allowed number.
+    """
     is_integer = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
     if not is_integer or value < at_least:
         raise ValueError(
@@ -41,8 +54,14 @@ def check_count(what: str, value: Any, at_least: int = 1) -> None:
 
 
 def check_number(what: str, value: Any, unit: str = "", **bounds: float) -> None:
-    """One finite number [unit], within bounds named as those of `quantity` (above, at_least, below,
-    at_most)."""
+    """Raises `ValueError` unless a value is one finite number within bounds; traced ones pass.
+
+    Args:
+        what: begins the message: which number it is.
+        value: to be checked.
+        unit: in the message.
+        bounds: above, at_least, below, at_most, as of `quantity`.
+    """
     unit = f" [{unit}]" if unit else ""
     limits = range_in_words(bounds)
     required = f"one finite number{unit}{', ' if limits else ''}{limits}"
@@ -59,14 +78,27 @@ def check_number(what: str, value: Any, unit: str = "", **bounds: float) -> None
 
 
 def check_name(what: str, name: Any, names: Iterable[str], where: str = "") -> None:
-    """A name among those that there are."""
+    """Raises `ValueError` unless a name is one of those that exist.
+
+    Args:
+        what: kind of thing that is named, such as "joint".
+        name: to be checked.
+        names: that exist.
+        where: follows the name in the message, such as " in this mechanism".
+    """
     names = list(names)
     if not isinstance(name, str) or name not in names:
         raise ValueError(unknown(what, name, names, where))
 
 
 def check_methods(owner: str, methods: Any, names: Iterable[str]) -> None:
-    """Some of the methods that a study has, at least one."""
+    """Raises `ValueError` unless some of a study's methods are given, at least one.
+
+    Args:
+        owner: name of the study in the message.
+        methods: tuple or list of names.
+        names: methods that the study has.
+    """
     names = list(names)
     expect(methods, (tuple, list), f"methods of {owner}", f"some of {listed(names)}")
     if not methods:

@@ -49,11 +49,11 @@ class CachedFile(NamedTuple):
 
 def place() -> Path | None:
     """The folder, whether it exists or not; None where nothing is to be kept."""
-    return _place(sys.platform, *map(os.environ.get, (VARIABLE, *OF_USER)))
+    return _folder_on_system(sys.platform, *map(os.environ.get, (VARIABLE, *OF_USER)))
 
 
 @functools.lru_cache(maxsize=16)
-def _place(system: str, variable: str | None, *_: str | None) -> Path | None:
+def _folder_on_system(system: str, variable: str | None, *_: str | None) -> Path | None:
     """The folder on a system, from the variable and those that tell where a user is at home."""
     if variable is not None and variable.strip().lower() in OFF:
         return None
@@ -80,7 +80,7 @@ def read(kind: str, key: str) -> bytes | None:
     folder = place()
     if folder is None:
         return None
-    path = _path(folder, kind, key)
+    path = _file_path(folder, kind, key)
     try:
         if not _is_owners(folder.stat()):
             return None
@@ -92,7 +92,7 @@ def read(kind: str, key: str) -> bytes | None:
     except OSError:
         return None
     head, _, content = file_content.partition(b"\n")
-    if head != _head(path.name, content):
+    if head != _header_line(path.name, content):
         with suppress(OSError):
             path.unlink()
         return None
@@ -120,22 +120,28 @@ def of_jax() -> Path | None:
 
 
 def write(kind: str, key: str, content: bytes) -> None:
-    """Keeps something of a kind under a key. Where that cannot be done, nothing is kept."""
+    """Saves a file in the cache folder; where that fails, nothing is saved.
+
+    Args:
+        kind: of the content, which is part of the file's name.
+        key: under which it is read again.
+        content: bytes of the file.
+    """
     folder = made()
     if folder is None:
         return
-    path = _path(folder, kind, key)
+    path = _file_path(folder, kind, key)
     with suppress(OSError):
         # Its file is the owner's alone from the beginning.
         number, name = tempfile.mkstemp(dir=folder, prefix=TEMPORARY_PREFIX)
         try:
             with os.fdopen(number, "wb") as file:
-                file.write(_head(path.name, content) + b"\n" + content)
+                file.write(_header_line(path.name, content) + b"\n" + content)
             os.replace(name, path)
         except BaseException:
             os.unlink(name)
             raise
-        _bound(folder)
+        _delete_oldest(folder)
 
 
 def list_files() -> list[CachedFile]:
@@ -148,7 +154,7 @@ def clear() -> int:
     """Removes all that is kept, by JAX too; how many files that were."""
     folder, files = place(), [one.path for one in list_files()]
     if folder is not None:
-        files += _stale_files(folder, after=0.0)
+        files += _list_stale_files(folder, after=0.0)
     if folder is not None and (folder / JAX).is_dir():
         files += [path for path in (folder / JAX).iterdir() if path.is_file()]
     for path in files:
@@ -156,11 +162,11 @@ def clear() -> int:
     return len(files)
 
 
-def _path(folder: Path, kind: str, key: str) -> Path:
+def _file_path(folder: Path, kind: str, key: str) -> Path:
     return folder / f"{key}.{kind}"
 
 
-def _head(name: str, content: bytes) -> bytes:
+def _header_line(name: str, content: bytes) -> bytes:
     """The first line of a file of this name."""
     return MARK + hashlib.sha256(name.encode() + b"\n" + content).hexdigest().encode()
 
@@ -192,7 +198,7 @@ def key_of(*parts: str) -> str:
     return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:KEY]
 
 
-def _stale_files(folder: Path, after: float) -> list[Path]:
+def _list_stale_files(folder: Path, after: float) -> list[Path]:
     """Files that have been under way for so long [s]."""
     stale = []
     with suppress(OSError):
@@ -203,8 +209,8 @@ def _stale_files(folder: Path, after: float) -> list[Path]:
     return stale
 
 
-def _bound(folder: Path) -> None:
-    for path in _stale_files(folder, LONGEST):
+def _delete_oldest(folder: Path) -> None:
+    for path in _list_stale_files(folder, LONGEST):
         with suppress(OSError):
             path.unlink()
     files = sorted(_files(folder), key=lambda one: one.used)

@@ -22,7 +22,7 @@ def columns_of(path: str | Path, names: Iterable[str]) -> list[np.ndarray]:
     if path.stat().st_size > LARGEST:
         raise ValueError(f"the table {path.name} is larger than {LARGEST} bytes.")
     try:
-        between, decimal = _manner(path)
+        between, decimal = _detect_separators(path)
         table = pandas.read_csv(
             path, sep=between, decimal=decimal, skipinitialspace=True, encoding="utf-8-sig"
         )
@@ -41,7 +41,7 @@ def columns_of(path: str | Path, names: Iterable[str]) -> list[np.ndarray]:
     return columns
 
 
-def _manner(path: Path) -> tuple[str, str]:
+def _detect_separators(path: Path) -> tuple[str, str]:
     """What stands between columns, and before decimals."""
     with path.open(encoding="utf-8-sig") as file:
         first, second = file.readline(), file.readline()

@@ -63,8 +63,10 @@ def _is_structure(leaf: Any) -> bool:
 def map_grouped(function: Callable, calls: Sequence[tuple], smallest: int = SMALLEST_GROUP) -> list:
     """[function(*arguments) for arguments in calls], with alike calls mapped together.
 
-    The function must be pure; its result may contain structural integers, which must not depend on
-    array values. Many alike pieces that are traced stay a loop (`grouping`).
+    Args:
+        function: pure; its result may hold structural integers that do not depend on array values.
+        calls: arguments of each call; those of equal structure and shapes are alike.
+        smallest: smallest number of alike calls that are mapped.
     """
     groups: dict[tuple, list[int]] = {}
     for index, arguments in enumerate(calls):
@@ -76,7 +78,7 @@ def map_grouped(function: Callable, calls: Sequence[tuple], smallest: int = SMAL
                 results[index] = function(*calls[index])
         else:
             for index, result in zip(
-                members, _mapped(function, [calls[index] for index in members]), strict=True
+                members, _map_calls(function, [calls[index] for index in members]), strict=True
             ):
                 results[index] = result
     return results
@@ -87,7 +89,7 @@ def map_many(function: Callable, calls: Sequence[tuple]) -> list:
     return map_grouped(function, calls, LARGEST_UNROLLED)
 
 
-def _mapped(function, calls):
+def _map_calls(function, calls):
     leaves, structure = jax.tree.flatten(calls[0])
     varying = [position for position, leaf in enumerate(leaves) if not _is_structure(leaf)]
     all_leaves = [jax.tree.leaves(call) for call in calls]

@@ -58,18 +58,25 @@ def dataset(
     problem: Mapping[str, str] | None = None,
     **further: Any,
 ) -> Any:
-    """An xarray Dataset of `what`; `problem`: a text for each part of what was asked; `said`: more
-    attributes. An index that is not given as a coordinate counts."""
+    """An xarray Dataset with provenance as attributes.
+
+    Args:
+        columns: variables by name, with dimensions and units.
+        coordinates: by name; a dimension without one is counted.
+        what: what the set holds, an attribute.
+        problem: text for each part of the problem, an attribute.
+        further: more attributes.
+    """
     import xarray
 
     attributes: dict[str, Any] = {"what": what}
     if problem is not None:
         attributes["problem"] = json.dumps(dict(problem))
-    attributes |= {name: _plain(value) for name, value in further.items()}
+    attributes |= {name: _as_attribute(value) for name, value in further.items()}
     attributes |= provenance()
     return xarray.Dataset(
-        {name: _variable(column) for name, column in columns.items()},
-        {name: _variable(column) for name, column in (coordinates or {}).items()},
+        {name: _as_variable(column) for name, column in columns.items()},
+        {name: _as_variable(column) for name, column in (coordinates or {}).items()},
         attributes,
     )
 
@@ -106,23 +113,23 @@ def spelt(name: str) -> str:
     return name.replace("%", "percent").replace("/", " per ")
 
 
-def _variable(column: Column) -> tuple:
+def _as_variable(column: Column) -> tuple:
     values = np.asarray(column.values)
     if values.dtype.kind == "b":
         values = values.astype(np.int8)
     if values.dtype.kind in "OU":
         # As objects: Zarr has no settled form for texts of a fixed length.
-        texts = [_text(one) for one in values.ravel()]
+        texts = [_as_text(one) for one in values.ravel()]
         values = np.array(texts, object).reshape(values.shape)
     attributes = {"units": column.unit, "long_name": column.meaning, "kind": column.kind}
     return column.dims, values, {name: text for name, text in attributes.items() if text}
 
 
-def _text(value: Any) -> str:
+def _as_text(value: Any) -> str:
     return "" if value is None or (isinstance(value, float) and np.isnan(value)) else str(value)
 
 
-def _plain(value: Any) -> Any:
+def _as_attribute(value: Any) -> Any:
     """An attribute that every format keeps."""
     if isinstance(value, (bool, np.bool_)):
         return int(value)

@@ -68,8 +68,13 @@ class Description:
         self.described: dict[str, Any] = {}
 
     def add(self, thing: Any, path: str, ancestors: tuple[int, ...] = ()) -> None:
-        """Adds the texts of a thing and of its parts. `ancestors`: whose part it is, by
-        identity."""
+        """Adds the texts of a thing and of its parts.
+
+        Args:
+            thing: any object.
+            path: name of the thing among all parts.
+            ancestors: identities of the things whose part it is, which end recursion.
+        """
         if id(thing) in ancestors:
             self.texts[path] = "what it is a part of"
             return
@@ -83,27 +88,27 @@ class Description:
             self.texts[path] = f"the class {self._add_class(thing, ancestors)}"
         elif _is_library_function(thing):
             self.texts[path] = f"{FUNCTION} {thing.__module__}.{thing.__qualname__}"
-        elif (function := _unwrap(thing)) is not None:
+        elif (function := _underlying_function(thing)) is not None:
             code = _digest(_code_text(function.__code__).encode())
             self.texts[path] = f"{FUNCTION} {function.__name__} {code}"
-            parts = _references(function)
+            parts = _referenced_values(function)
             if function is not thing:
                 # What makes it another function, as derivatives of one's own.
-                parts |= {n: x for n, x in _attributes(thing).items() if callable(x)}
+                parts |= {n: x for n, x in _attributes_of(thing).items() if callable(x)}
             if not _is_library(scope := function.__globals__.get("__name__", "")):
-                self.names |= _names(function.__code__)
+                self.names |= _used_names(function.__code__)
                 for name in sorted(_global_names(function.__code__) & set(function.__globals__)):
                     self._add_global(f"{_module_name(scope)}.{name}", function.__globals__[name])
-        elif (items := _items(thing)) is not None:
+        elif (items := _parts_of(thing)) is not None:
             # Of a library's dictionary its names say all, whatever its class.
             by_library = isinstance(thing, dict) and _is_library(type(thing).__module__)
             self.texts[path] = self._add_class(dict if by_library else type(thing), ancestors)
-            parts = items if dataclasses.is_dataclass(thing) else items | _attributes(thing)
+            parts = items if dataclasses.is_dataclass(thing) else items | _attributes_of(thing)
         else:
             # Of a user's class by its attributes and what the class does, of a library's by how it
             # shows itself, or by its attributes where that says nothing.
             value = sorted(map(repr, thing)) if isinstance(thing, (set, frozenset)) else thing
-            text, attributes = repr(value), _attributes(thing)
+            text, attributes = repr(value), _attributes_of(thing)
             if not _is_library(type(thing).__module__) or (ADDRESS.search(text) and attributes):
                 self.texts[path], parts = self._add_class(type(thing), ancestors), attributes
             else:
@@ -166,7 +171,7 @@ class Description:
                 else:
                     member = getattr(owner, name, None)
                 special = name.startswith("__") and name.endswith("__")
-                if _unwrap(member) is not None:
+                if _underlying_function(member) is not None:
                     if name.strip("_") not in WITHOUT_NUMBERS.split() or not special:
                         self.add(member, f"{path}.{name}", ancestors)
                 elif not (special or inspect.isdatadescriptor(member) or _is_field(owner, name)):
@@ -174,7 +179,7 @@ class Description:
         return kind.__name__
 
 
-def _items(thing: Any) -> dict[str, Any] | None:
+def _parts_of(thing: Any) -> dict[str, Any] | None:
     """What a thing consists of, each by what follows its own path; None for what is one piece."""
     if dataclasses.is_dataclass(thing):
         return {f".{f.name}": getattr(thing, f.name) for f in dataclasses.fields(thing)}
@@ -187,7 +192,7 @@ def _items(thing: Any) -> dict[str, Any] | None:
     return None
 
 
-def _attributes(thing: Any) -> dict[str, Any]:
+def _attributes_of(thing: Any) -> dict[str, Any]:
     """What a thing holds, in slots too, each by what follows its own path."""
     attributes = dict(getattr(thing, "__dict__", {}))
     for owner in type(thing).__mro__:
@@ -208,7 +213,7 @@ def _is_field(kind: type, name: str) -> bool:
     return of_fields or name in getattr(kind, "__dataclass_fields__", {})
 
 
-def _unwrap(thing: Any) -> Any:
+def _underlying_function(thing: Any) -> Any:
     """The function that was written, of what a library has made of it without code of its own, as
     `jax.jit` does, too; else None."""
     if not callable(thing) or isinstance(thing, type):
@@ -231,7 +236,7 @@ def _is_library_function(thing: Any) -> bool:
     return resolved is thing and _is_library(module)
 
 
-def _references(function: Any) -> dict[str, Any]:
+def _referenced_values(function: Any) -> dict[str, Any]:
     """What a function is bound to, holds and has by default, by what follows its path."""
     references = {" of": function.__self__} if inspect.ismethod(function) else {}
     for i, cell in enumerate(function.__closure__ or ()):
@@ -264,10 +269,10 @@ def _global_names(code: CodeType) -> set[str]:
     return names.union(*(_global_names(c) for c in code.co_consts if isinstance(c, CodeType)))
 
 
-def _names(code: CodeType) -> set[str]:
+def _used_names(code: CodeType) -> set[str]:
     """The names that a code, and the functions in it, use of globals, attributes and modules."""
     inner = (c for c in code.co_consts if isinstance(c, CodeType))
-    return set(code.co_names).union(*map(_names, inner))
+    return set(code.co_names).union(*map(_used_names, inner))
 
 
 @functools.cache

@@ -61,7 +61,7 @@ class Tables(NamedTuple):
 @functools.lru_cache(maxsize=64)
 def tables_of(pattern: Pattern) -> Tables:
     """The loops that a pattern asks for."""
-    below = _columns_below(pattern)
+    below = _elimination_order(pattern)
     unknown = [0] * pattern.size
     for place, i in enumerate(below):
         unknown[i] = place
@@ -76,16 +76,16 @@ def tables_of(pattern: Pattern) -> Tables:
         first = columns[j] + 1
         for k, i in enumerate(lower):
             changed = [at[other, i] for other in lower[k:]]
-            updates += [(t, first + k + s, k, n) for t, s, n in _stretches(changed)]
+            updates += [(t, first + k + s, k, n) for t, s, n in _consecutive_runs(changed)]
         update_starts.append(len(updates))
-        solves += [(row, first + s, n) for row, s, n in _stretches(lower)]
+        solves += [(row, first + s, n) for row, s, n in _consecutive_runs(lower)]
         solve_starts.append(len(solves))
     places = ((unknown[i], unknown[j]) for i, j in pattern.places)
     entries = [at[max(pair), min(pair)] for pair in places]
     return Tables(entries, unknown, columns, update_starts, updates, solve_starts, solves)
 
 
-def _columns_below(pattern: Pattern) -> dict[int, set[int]]:
+def _elimination_order(pattern: Pattern) -> dict[int, set[int]]:
     """Unknowns in their order of elimination, each with those that it is then tied to; of those
     tied to equally many the first."""
     tied: list[set[int]] = [set() for _ in range(pattern.size)]
@@ -107,7 +107,7 @@ def _columns_below(pattern: Pattern) -> dict[int, set[int]]:
     return out
 
 
-def _stretches(numbers: Sequence[int]) -> list[tuple[int, int, int]]:
+def _consecutive_runs(numbers: Sequence[int]) -> list[tuple[int, int, int]]:
     """Numbers that follow each other without a gap: (the first, its place, how many)."""
     out: list[Any] = []
     for place, number in enumerate(numbers):
@@ -122,8 +122,16 @@ solve_p = Primitive("jaxclear_symmetric_solve")
 
 
 def solved(pattern: Pattern, entries: Any, least: Any, right: Any) -> Any:
-    """x of M x = right, for a matrix of this pattern whose entries are given in its order. Where a
-    pivot is not above the `least` of its row the unknown is 0 (in a kernel; None: nowhere)."""
+    """x of M x = right, for a symmetric positive definite matrix.
+
+    Args:
+        pattern: of the non-zero entries of M.
+        entries: of M, in the order of the pattern.
+            least: smallest pivot of each row, at or below which its unknown is 0 (in a kernel);
+            None: no
+            limit.
+        right: right side, shape (n,).
+    """
     return solve_p.bind(entries, *([] if least is None else [least]), right, pattern=pattern)
 
 
@@ -147,7 +155,7 @@ def _differentiate(primals, tangents, *, pattern):
     if isinstance(changed, ad.Zero):
         moved = ad.instantiate_zeros(right_tangent)
     else:
-        x, entries = _parts(solution), _parts(changed)
+        x, entries = _split_last_axis(solution), _split_last_axis(changed)
         taken: list[Any] = [0] * pattern.size
         for (i, j), entry in zip(pattern.places, entries, strict=True):
             taken[i] = sp.add(taken[i], entry * x[j])
@@ -158,11 +166,11 @@ def _differentiate(primals, tangents, *, pattern):
     return solution, solve_p.bind(*matrix, moved, pattern=pattern)
 
 
-def _parts(array: Any) -> list:
+def _split_last_axis(array: Any) -> list:
     return [array[..., i] for i in range(array.shape[-1])]
 
 
-def _backwards(cotangent, *operands, pattern):
+def _transpose_solve(cotangent, *operands, pattern):
     *matrix, _ = operands
     out = (
         None
@@ -172,7 +180,7 @@ def _backwards(cotangent, *operands, pattern):
     return [*[None] * len(matrix), out]
 
 
-def _batch(operands, dims, *, pattern):
+def _batch_solve(operands, dims, *, pattern):
     """New axes come first; the right-hand sides have all that the matrices have."""
     size = next(v.shape[d] for v, d in zip(operands, dims, strict=True) if d is not None)
     first = [v if d is None else jnp.moveaxis(v, d, 0) for v, d in zip(operands, dims, strict=True)]
@@ -191,6 +199,6 @@ solve_p.def_abstract_eval(
     lambda *avals, pattern: jax.core.ShapedArray(avals[-1].shape, avals[-1].dtype)
 )
 ad.primitive_jvps[solve_p] = _differentiate
-ad.primitive_transposes[solve_p] = _backwards
-batching.primitive_batchers[solve_p] = _batch
+ad.primitive_transposes[solve_p] = _transpose_solve
+batching.primitive_batchers[solve_p] = _batch_solve
 mlir.register_lowering(solve_p, mlir.lower_fun(_by_lapack, multiple_results=False))

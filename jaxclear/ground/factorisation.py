@@ -128,7 +128,7 @@ def eliminate(matrix: Sequence[Any], right: Any) -> list[Any]:
     eliminated: list[Any] = []
     while lines:
         # What is left of the lines: unknowns that are not yet eliminated, and the right-hand sides.
-        _bring_up(lines, 0)
+        _pivot_to_line(lines, 0)
         first = lines[0][1:] / lines[0][0]
         lines = [line[1:] - line[0] * first for line in lines[1:]]
         eliminated.append(first)
@@ -141,7 +141,7 @@ def eliminate(matrix: Sequence[Any], right: Any) -> list[Any]:
     return solution[::-1]
 
 
-def _bring_up(lines: list[Any], k: int) -> list[Any]:
+def _pivot_to_line(lines: list[Any], k: int) -> list[Any]:
     """Exchanges lines so that the k-th has the pivot; whether each below it was exchanged with
     it."""
     exchanged = []
@@ -161,7 +161,7 @@ def orientation(matrix: list[list]) -> Any:
     lines = [jnp.stack([jnp.asarray(x, float) for x in row]) for row in matrix]
     n, sign = len(lines), jnp.ones(())
     for k in range(n):
-        for exchanged in _bring_up(lines, k):
+        for exchanged in _pivot_to_line(lines, k):
             sign = jnp.where(exchanged, -sign, sign)
         sign = sign * jnp.sign(lines[k][k])
         pivot_row = lines[k] / lines[k][k]
@@ -234,7 +234,7 @@ def factor_of_rank(matrix: Rows, rank: int) -> tuple[list, list, list]:
         rest, free, first, columns, above, inverses, place = carry
         diagonal = jnp.sum(jnp.where(jnp.eye(m, dtype=bool), rest, 0.0), axis=1)
         # Of pivots that are alike but for rounding the first, always: in a batch XLA may ask twice.
-        at = _at_largest(jnp.where(free > 0, diagonal * ahead, -jnp.inf)).astype(float)
+        at = _mask_of_largest(jnp.where(free > 0, diagonal * ahead, -jnp.inf)).astype(float)
         pivot = jnp.sum(at * diagonal)
         first = jnp.where(place == 0, pivot, first)
         root = safe_sqrt(jnp.where(pivot > VANISHED * first, pivot, 0.0))
@@ -271,7 +271,7 @@ def solve_least(factors: tuple, right: tuple) -> tuple:
     return tuple(x[i] for i in range(len(right)))
 
 
-def _at_largest(values: Float[Array, " m"]) -> Bool[Array, " m"]:
+def _mask_of_largest(values: Float[Array, " m"]) -> Bool[Array, " m"]:
     """True at the first of the largest values; by what kernels know."""
     places = jnp.arange(len(values))
     return places == jnp.min(jnp.where(values >= jnp.max(values), places, len(values) - 1))
@@ -292,8 +292,16 @@ class Change(NamedTuple):
 def least_change(
     rows: Float[Array, "rows n"], targets: Float[Array, " rows"], scales: Float[Array, " n"]
 ) -> Change:
-    """Smallest x, measured as x / scales, with rows @ x = targets; a row that follows from earlier
-    ones is left out, met or not. All derivatives are finite, also where x is zero.
+    """Smallest x, measured as x / scales, with rows @ x = targets.
+
+    A row that follows from earlier ones is left out, whether it holds or not. All derivatives are
+    finite,
+    also where x is zero.
+
+    Args:
+        rows: coefficients; earlier rows have priority.
+        targets: right side.
+        scales: size of each unknown.
     """
     scaled = rows * scales
     m = rows.shape[0]
@@ -327,16 +335,25 @@ def of_rank(
     scales: Float[Array, " n"],
     rank: int,
 ) -> tuple[Float[Array, "rank n"], Float[Array, " rank"]]:
-    """Equations, so many, that say the same as `rows @ x = targets` where only that many of them
-    are independent: the rows that stand out most, one after the other; the rest is not looked at. A
-    row is zero where fewer are independent."""
+    """Equations equivalent to rows @ x = targets, of which only `rank` are independent.
+
+    They are chosen by pivoting: each is the largest remainder of the rows. A row is zero where
+    fewer are
+    independent.
+
+    Args:
+        rows: coefficients, more than `rank`.
+        targets: right side.
+        scales: size of each unknown, by which rows are compared.
+        rank: number of equations returned.
+    """
     scaled = rows * scales
     largest = jnp.max(jnp.sum(scaled * scaled, axis=1), initial=0.0)
 
     def choose(carry, _):
         scaled, targets, chosen, parts, place = carry
         squares = jnp.sum(scaled * scaled, axis=1)
-        here = _at_largest(squares)
+        here = _mask_of_largest(squares)
         square, target = jnp.max(squares), jnp.sum(jnp.where(here, targets, 0.0))
         square = jnp.where(square > DEPENDENT**2 * largest, square, 0.0)
         inverse = safe_divide(1.0, safe_sqrt(square))

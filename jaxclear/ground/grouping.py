@@ -54,7 +54,7 @@ def unstacked(array: jax.Array, least: int = MANY) -> list[jax.Array]:
     return list(entries)
 
 
-def _origin(number: Any) -> _Origin | None:
+def _array_of_origin(number: Any) -> _Origin | None:
     origin = _ORIGINS.get(id(number))
     return origin if origin is not None and origin.number() is number else None
 
@@ -64,7 +64,7 @@ def stacked(numbers: Sequence[Any], least: int = MANY) -> jax.Array:
     from which they were taken."""
     if len(numbers) < least:
         return jnp.stack(numbers)
-    origins = [_origin(each) for each in numbers]
+    origins = [_array_of_origin(each) for each in numbers]
     sources: list[Any] = []
     lengths = [0]
     starts: dict[int, int] = {}
@@ -107,7 +107,13 @@ def looked_up(array: jax.Array, places: np.ndarray) -> jax.Array:
 
 
 def summed(terms: jax.Array, places: np.ndarray, count: int) -> jax.Array:
-    """So many sums, each of the terms whose known place it is."""
+    """Sums of terms by index, shape (count,).
+
+    Args:
+        terms: shape (n,).
+        places: index of the sum to which each term goes, shape (n,).
+        count: number of sums.
+    """
     numbers = lax.ScatterDimensionNumbers(
         (), inserted_window_dims=(0,), scatter_dims_to_operand_dims=(0,)
     )

@@ -195,7 +195,7 @@ def arc_sine(x: Float[Array, "..."]) -> Float[Array, "..."]:
     steep = size > 0.5
     square = jnp.where(steep, 0.5 * (1.0 - size), size * size)
     sine = jnp.where(steep, jnp.sqrt(square), size)
-    rest = _polynomial(square, SINE_TOP) / _polynomial(square, SINE_BOTTOM)
+    rest = _horner(square, SINE_TOP) / _horner(square, SINE_BOTTOM)
     angle = sine + sine * square * rest
     return jnp.sign(x) * jnp.where(steep, 0.5 * jnp.pi - 2.0 * angle, angle)
 
@@ -206,7 +206,7 @@ def _arc_sine_jvp(primals, tangents):
     return arc_sine(x), safe_divide(x_dot, safe_sqrt(1.0 - x * x))
 
 
-def _polynomial(x: Float[Array, "..."], coefficients: tuple[float, ...]) -> Float[Array, "..."]:
+def _horner(x: Float[Array, "..."], coefficients: tuple[float, ...]) -> Float[Array, "..."]:
     """The polynomial in x with these coefficients, the highest power's first."""
     total = jnp.full_like(x, coefficients[0])
     for coefficient in coefficients[1:]:

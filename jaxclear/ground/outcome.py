@@ -107,10 +107,10 @@ def explain_nan(derivatives: Any) -> str:
         leaf = np.asarray(leaf)
         if leaf.dtype == np.float64:
             bits = np.unique(leaf[np.isnan(leaf)].view(np.uint64))
-            reasons |= dict.fromkeys(map(_reason, bits.tolist()))
+            reasons |= dict.fromkeys(map(_reason_of_bits, bits.tolist()))
     return " ".join(f"{each.sentence[0].upper()}{each.sentence[1:]}" for each in reasons)
 
 
-def _reason(bits: int) -> Unknown:
+def _reason_of_bits(bits: int) -> Unknown:
     has_reason = (bits & (REASON << 32)) == WORD and (bits & REASON) in set(Unknown)
     return Unknown(bits & REASON) if has_reason else Unknown.SOMEHOW

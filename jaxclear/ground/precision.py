@@ -15,7 +15,7 @@ import jax
 _forked = False
 
 
-def _computes() -> bool:
+def _has_computed() -> bool:
     """Whether JAX has begun to compute in this process. Where it does not say so any more, it is
     taken to have."""
     bridge = sys.modules.get("jax._src.xla_bridge")
@@ -23,13 +23,13 @@ def _computes() -> bool:
     return bool(is_initialised())
 
 
-def _note() -> None:
+def _note_fork() -> None:
     global _forked
-    _forked = _forked or _computes()
+    _forked = _forked or _has_computed()
 
 
 if os.name == "posix":
-    os.register_at_fork(after_in_child=_note)
+    os.register_at_fork(after_in_child=_note_fork)
 
 
 def check_not_forked() -> None:

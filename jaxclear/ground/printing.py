@@ -80,10 +80,10 @@ def fields_in_words(part: Any, unit: Unit = unit_of_field) -> Iterator[tuple[str
         value = getattr(part, field.name)
         empty = isinstance(value, (str, tuple, dict)) and not value
         if value is not None and not empty:
-            yield field.name, f"{field.name} {_in_words(value, field.metadata, unit)}"
+            yield field.name, f"{field.name} {_format_value(value, field.metadata, unit)}"
 
 
-def _in_words(value: Any, metadata: Mapping[str, Any], unit: Unit) -> str:
+def _format_value(value: Any, metadata: Mapping[str, Any], unit: Unit) -> str:
     if isinstance(value, eqx.Module):
         return in_a_line(value, unit)
     unit_text = unit(metadata)
@@ -104,14 +104,14 @@ def number_in_words(value: Any) -> str:
     if isinstance(value, jax.core.Tracer):
         return "(traced)"
     if isinstance(value, tuple):
-        entries = ", ".join(map(_entry, value))
+        entries = ", ".join(map(_format_entry, value))
         return f"({entries})" if len(value) != 1 else entries
     if isinstance(value, (jax.Array, float)) and not getattr(value, "shape", ()):
         return f"{float(value):.6g}"
     return value if isinstance(value, str) else described(value)
 
 
-def _entry(value: Any) -> str:
+def _format_entry(value: Any) -> str:
     return in_a_line(value) if isinstance(value, eqx.Module) else number_in_words(value)
 
 
@@ -154,7 +154,7 @@ class AbstractShown(eqx.Module):
 
     def _repr_html_(self) -> str:
         """What a notebook shows."""
-        return "".join(map(_in_html, self._parts()))
+        return "".join(map(_format_html, self._parts()))
 
     def _parts(self) -> tuple[Any, ...]:
         content = self._summary()
@@ -180,11 +180,11 @@ def with_text_repr(kind: Any) -> Any:
     """Decorates a class of few words (`__str__`): whatever shows it, a list that it is in too,
     shows these."""
     kind.__repr__ = kind.__str__
-    kind._repr_html_ = lambda self: _in_html(str(self))
+    kind._repr_html_ = lambda self: _format_html(str(self))
     return kind
 
 
-def _in_html(part: Any) -> str:
+def _format_html(part: Any) -> str:
     """A part of what is shown; the lines of a long text but the first fold out."""
     if not isinstance(part, str):
         return part._repr_html_()
@@ -209,7 +209,13 @@ def as_written(number: Any) -> str:
 
 
 def in_digits(value: float, error: float, least: int = 5) -> str:
-    """A number with so many digits that two of its error are among them, and at least so many."""
+    """A number as text, with two digits of its error.
+
+    Args:
+        value: to be printed.
+        error: that bounds how many digits say something.
+        least: smallest number of significant digits.
+    """
     if not (math.isfinite(value) and math.isfinite(error) and value and error):
         return f"{value:.{least}g}"
     digits = math.floor(math.log10(abs(value))) - math.floor(math.log10(abs(error))) + 2

@@ -166,12 +166,12 @@ def _allowed_text(field, allowed, several, function, of_tuple, optional) -> str:
         words = [f"{number} numbers{_unit(field)}"]
     elif "unit" in field.metadata:
         words = [f"one number{_unit(field)}"]
-        words += [_family(kind) for kind in allowed]
+        words += [_class_or_family_path(kind) for kind in allowed]
     elif entries is not None:
         what = SIMPLE[entries][1].removeprefix("a ").removesuffix(" (text)")
         words = [f"{length or 'some'} {what}s in a tuple"]
     else:
-        words = [_family(kind) for kind in allowed]
+        words = [_class_or_family_path(kind) for kind in allowed]
         words += [SIMPLE[kind][1] for kind in members_of_union(field.type) if kind in SIMPLE]
         limits = range_in_words(field.metadata)
         words[-1:] = [f"{words[-1]}, {limits}"] if limits and words else words[-1:]
@@ -185,7 +185,7 @@ def _unit(field: dataclasses.Field) -> str:
     return "" if unit == "1" or unit.startswith("(") else f" [{unit}]"
 
 
-def _family(kind: type) -> str:
+def _class_or_family_path(kind: type) -> str:
     """A class, or for a family the place where its members are."""
     path = public_name(kind)
     place, _, name = path.rpartition(".")
@@ -215,11 +215,11 @@ def check_kinds(owner: Callable[[], str], part: Any) -> None:
         if not rule.admits(value):
             raise ValueError(
                 f"{owner()} has {rule.name} = {described(value)}; it must be {rule.allowed_text}"
-                f"{_remedy(rule, value)}."
+                f"{_hint_to_build(rule, value)}."
             )
 
 
-def _remedy(rule: FieldRule, value: Any) -> str:
+def _hint_to_build(rule: FieldRule, value: Any) -> str:
     """For what has only not been built, how to build it."""
     if isinstance(value, type) and issubclass(value, rule.allowed):
         return f": build one, {value.__name__}(...)"
@@ -334,12 +334,12 @@ def is_traced(tree: Any) -> bool:
     """Whether any number of a tree is being traced, so that nobody knows it yet; those that
     functions of Python's enclose, too."""
     return any(
-        isinstance(leaf, jax.core.Tracer) or (callable(leaf) and _encloses_traced(leaf))
+        isinstance(leaf, jax.core.Tracer) or (callable(leaf) and _has_traced_closure(leaf))
         for leaf in jax.tree.leaves(tree)
     )
 
 
-def _encloses_traced(function: Any) -> bool:
+def _has_traced_closure(function: Any) -> bool:
     """Whether a function of Python's hangs on a number that is being traced, by whatever it
     encloses: other functions, containers, objects with numbers."""
     near, visited = [function], set[int]()
@@ -348,11 +348,11 @@ def _encloses_traced(function: Any) -> bool:
             return True
         near = [one for one in near if id(one) not in visited]
         visited.update(map(id, near))
-        near = [enclosed for one in near for enclosed in _within(one)]
+        near = [enclosed for one in near for enclosed in _contents_of(one)]
     return False
 
 
-def _within(one: Any) -> list:
+def _contents_of(one: Any) -> list:
     """What a function, a container or an object holds."""
     if isinstance(one, types.FunctionType):
         cells = [x.cell_contents for x in one.__closure__ or () if x != types.CellType()]
@@ -400,7 +400,7 @@ def with_quantities(tree: Any) -> Any:
         return jax.tree.map(lambda x: with_quantities(x) if inner(x) else x, tree, is_leaf=inner)
     values: dict[str, Any] = {}
     kind: Any = type(tree)
-    for name, metadata in _leaves(kind):
+    for name, metadata in _leaf_fields(kind):
         as_field = metadata.get("converter") if "unit" in metadata else None
         value = with_quantities(getattr(tree, name))
         values[name] = value if as_field is None else as_field(value)
@@ -483,7 +483,7 @@ def quantity(
     metadata = {k: v for k, v in bounds.items() if v is not None}
     metadata |= {k: kwargs.pop(k) for k in METADATA if k in kwargs}
     converter = kwargs.pop("converter", as_number)
-    return _field(default, unit, meaning, converter, kwargs, metadata)
+    return _make_field(default, unit, meaning, converter, kwargs, metadata)
 
 
 # Metadata of a field that a check reads: numbers of a vector, what it must be in words, its usual
@@ -513,7 +513,7 @@ def vector(
         The field.
     """
     metadata = {"counts": counts} | {k: kwargs.pop(k) for k in METADATA if k in kwargs}
-    return _field(default, unit, meaning, kwargs.pop("converter", as_vector), kwargs, metadata)
+    return _make_field(default, unit, meaning, kwargs.pop("converter", as_vector), kwargs, metadata)
 
 
 def count(default: Any = dataclasses.MISSING, meaning: str = "", at_least: int = 1, **kwargs: Any):
@@ -531,15 +531,15 @@ def count(default: Any = dataclasses.MISSING, meaning: str = "", at_least: int =
     metadata = {"at_least": at_least, "meaning": meaning}
     if default is not dataclasses.MISSING:
         kwargs["default"] = default
-    return eqx.field(static=True, metadata=metadata, converter=_counted, **kwargs)
+    return eqx.field(static=True, metadata=metadata, converter=_as_python_integer, **kwargs)
 
 
-def _counted(value: Any) -> Any:
+def _as_python_integer(value: Any) -> Any:
     """NumPy's whole numbers as Python's."""
     return int(value) if isinstance(value, np.integer) else value
 
 
-def _field(default, unit, meaning, converter, kwargs, further):
+def _make_field(default, unit, meaning, converter, kwargs, further):
     metadata = {"unit": unit, "meaning": meaning} | further
     if default is not dataclasses.MISSING:
         kwargs["default"] = default
@@ -569,27 +569,32 @@ class AbstractQuantified(AbstractShown, metaclass=AnsweringMeta):
     def _check_fields(self):
         owner = lambda: public_name(type(self))
         check_kinds(owner, self)
-        for name, metadata in _measured(type(self)):
-            for path, leaf, field_metadata in _numbers(getattr(self, name), name, metadata):
+        for name, metadata in _fields_with_units(type(self)):
+            for path, leaf, field_metadata in _iterate_numbers(getattr(self, name), name, metadata):
                 check_range(owner, path, leaf, field_metadata)
 
 
 @functools.cache
-def _measured(kind: type) -> tuple[tuple[str, Mapping], ...]:
+def _fields_with_units(kind: type) -> tuple[tuple[str, Mapping], ...]:
     """The fields of a class that hold numbers with a unit."""
     return tuple((f.name, f.metadata) for f in dataclasses.fields(kind) if "unit" in f.metadata)
 
 
 @functools.cache
-def _leaves(kind: type) -> tuple[tuple[str, Mapping], ...]:
+def _leaf_fields(kind: type) -> tuple[tuple[str, Mapping], ...]:
     """The fields of a class that are not static: looking them up anew costs more than a check."""
     fields = dataclasses.fields(kind)
     return tuple((f.name, f.metadata) for f in fields if not f.metadata.get("static", False))
 
 
 def check_range(owner: Callable[[], str], path: str, leaf: Any, metadata: Mapping) -> None:
-    """Raises `ValueError` if a known number is not finite or not within its field's range; `owner`
-    says whose number it is.
+    """Raises `ValueError` for a number that is not finite or outside its range; traced ones pass.
+
+    Args:
+        owner: function that names whose number it is, called only for the message.
+        path: name of the number in the message.
+        leaf: number or array.
+        metadata: of its field: unit and bounds.
     """
     if "unit" not in metadata or isinstance(leaf, jax.core.Tracer):
         return
@@ -616,7 +621,7 @@ def check_range(owner: Callable[[], str], path: str, leaf: Any, metadata: Mappin
 def numbers(tree: Any, name: str = "") -> Iterator[tuple[str, Any, Mapping[str, Any]]]:
     """(name, leaf, metadata of its field) of every number in a mechanism or any part of it, in
     definition order; `name` is what the tree itself is called."""
-    return _numbers(tree, name, {})
+    return _iterate_numbers(tree, name, {})
 
 
 def inside(leaf: Any, metadata: Mapping[str, Any]) -> Any:
@@ -634,22 +639,22 @@ def inside(leaf: Any, metadata: Mapping[str, Any]) -> Any:
     return fits & (leaf <= metadata["at_most"]) if "at_most" in metadata else fits
 
 
-def _numbers(tree, path, metadata):
+def _iterate_numbers(tree, path, metadata):
     if isinstance(tree, jax.Array):
         yield path, tree, metadata
     elif isinstance(tree, eqx.Module):
-        for name, field_metadata in _leaves(type(tree)):
+        for name, field_metadata in _leaf_fields(type(tree)):
             inner = f"{path}.{name}" if path else name
             value = getattr(tree, name)
             if isinstance(value, jax.Array):
                 yield inner, value, field_metadata
             elif value is not None:
-                yield from _numbers(value, inner, field_metadata)
+                yield from _iterate_numbers(value, inner, field_metadata)
     elif isinstance(tree, dict):
         for key, value in tree.items():
-            yield from _numbers(value, f'{path}["{key}"]', metadata)
+            yield from _iterate_numbers(value, f'{path}["{key}"]', metadata)
     elif isinstance(tree, (tuple, list)):
         for index, value in enumerate(tree):
-            yield from _numbers(value, f"{path}[{index}]", metadata)
+            yield from _iterate_numbers(value, f"{path}[{index}]", metadata)
     elif eqx.is_array(tree):
         yield path, tree, metadata

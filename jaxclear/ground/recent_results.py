@@ -25,7 +25,7 @@ class Key:
     @functools.cached_property
     def key(self) -> tuple:
         """All of it; of numbers that are being traced there is none."""
-        return (self.structure, *map(_hashable, self.leaves))
+        return (self.structure, *map(_hashable_leaf, self.leaves))
 
     def __hash__(self) -> int:
         return hash(self.key)
@@ -34,7 +34,7 @@ class Key:
         return self.key == other.key
 
 
-def _hashable(leaf: Any) -> Any:
+def _hashable_leaf(leaf: Any) -> Any:
     if not isinstance(leaf, NUMBERS) and not isinstance(leaf, jax.Array):
         return leaf
     array = np.asarray(leaf)

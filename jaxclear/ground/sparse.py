@@ -151,10 +151,15 @@ def congruence(r: Mat, symmetric: Mat) -> Mat:
 
 
 def shift_inertia(inertia: Mat, mass: Any, moment: Vec, offset: Vec) -> Mat:
-    """Inertia about a point O' of a body whose inertia about O is given, both axes parallel.
+    """Inertia about O' of a body whose inertia about O is given, with parallel axes.
 
-    `moment` is mass times the vector from O to the centre of mass, `offset` the vector from O' to
-    O: I' = I + (m p.p + 2 p.h) 1 - m p p^T - p h^T - h p^T.
+    I' = I + (m p.p + 2 p.h) 1 - m p p^T - p h^T - h p^T.
+
+    Args:
+        inertia: I about O [kg m2].
+        mass: m of the body [kg].
+        moment: h, mass times the vector from O to the centre of mass [kg m].
+        offset: p, vector from O' to O [m].
     """
     diagonal = add(mul(mass, dot(offset, offset)), mul(2, dot(offset, moment)))
     cross_terms = plus_matrix(

@@ -46,12 +46,16 @@ def as_table(
     errors: Mapping[str, str] | None = None,
     columns: Sequence[str] | None = None,
 ) -> Any:
-    """A pandas table of rows (dictionaries), columns or another table, to be looked at.
+    """A pandas table of rows (dictionaries), columns or another table, for printing.
 
-    `index`: the columns that name its rows. `units`: by column; a column "unit" has those of the
-    rows. `errors`: by column that of its error, by default "mean error" for "mean".
+    Args:
+        rows: what pandas takes, or a table, whose units and errors are kept.
+        index: columns that name its rows.
+        units: by column; a column "unit" has those of the rows.
+        errors: by column, the column of its error; by default "mean error" for "mean".
+        columns: which columns, in order; None: all.
     """
-    table = _kind()(rows, columns=columns)
+    table = _table_class()(rows, columns=columns)
     table = table if index is None else table.set_index(index)
     attributes = {"units": dict(units or {}), "errors": dict(errors or {})}
     table.attrs = attributes | getattr(rows, "attrs", {})
@@ -59,7 +63,7 @@ def as_table(
 
 
 @functools.cache
-def _kind() -> Any:
+def _table_class() -> Any:
     """The class; of a library that most runs do without."""
     import pandas
 
@@ -88,10 +92,10 @@ def _kind() -> Any:
             return pandas.DataFrame(self).rename(*args, **kwargs)
 
         def __repr__(self):
-            return "\n".join(_in_lines(_cells(self)))
+            return "\n".join(_terminal_lines(_make_cells(self)))
 
         def _repr_html_(self):
-            return _in_html(_cells(self))
+            return _html_table(_make_cells(self))
 
         def __reduce__(self):
             # Another process gets a plain one: it need not know this class.
@@ -112,7 +116,7 @@ class _Column(NamedTuple):
     @property
     def long(self) -> bool:
         """Whether it is text that wants more than a column."""
-        return self.is_text and _width(self.cells) > LONG
+        return self.is_text and _widest(self.cells) > LONG
 
     @property
     def is_constant(self) -> bool:
@@ -123,8 +127,8 @@ class _Column(NamedTuple):
     @property
     def narrowest(self) -> int:
         """Its width where its head is broken and its cells are not."""
-        head = min(max(HEAD, _width(PIECE.split(self.head))), LONG)
-        return max(_width(self.cells), _width(_broken(self.head, head)))
+        head = min(max(HEAD, _widest(PIECE.split(self.head))), LONG)
+        return max(_widest(self.cells), _widest(_break_lines(self.head, head)))
 
 
 class _Cells(NamedTuple):
@@ -151,7 +155,7 @@ class _Cells(NamedTuple):
         return _Cells([name], columns, self.notes)
 
 
-def _cells(frame: Any) -> _Cells:
+def _make_cells(frame: Any) -> _Cells:
     """What is shown of a table."""
     notes = []
     if len(frame) > MOST_ROWS:
@@ -167,10 +171,10 @@ def _cells(frame: Any) -> _Cells:
     of_rows = values[labels.index("unit")] if "unit" in labels else []
     plain = [v for n, v in zip(labels, values, strict=True) if n not in units]
     by_row = zip(*plain, strict=True)
-    rows = [_in_row(_floats(row)) for row in by_row] if of_rows else None
+    rows = [_format_for_row(_floats(row)) for row in by_row] if of_rows else None
     columns = [
-        _column(
-            _measured(label, units.get(label)),
+        _format_column(
+            _head_with_unit(label, units.get(label)),
             values[k],
             values[error_columns[label]] if label in error_columns else None,
             rows if label not in units else None,
@@ -182,16 +186,16 @@ def _cells(frame: Any) -> _Cells:
         names, columns = columns[:1], columns[1:]
     else:
         levels = [frame.index.get_level_values(k) for k in range(frame.index.nlevels)]
-        heads = [_measured(str(c.name or ""), units.get(c.name)) for c in levels]
-        names = [_column(head, c.tolist()) for head, c in zip(heads, levels, strict=True)]
-        labels_with_units = [_measured(n, units.get(n)) for n in names[-1].cells]
+        heads = [_head_with_unit(str(c.name or ""), units.get(c.name)) for c in levels]
+        names = [_format_column(head, c.tolist()) for head, c in zip(heads, levels, strict=True)]
+        labels_with_units = [_head_with_unit(n, units.get(n)) for n in names[-1].cells]
         names[-1] = names[-1]._replace(cells=labels_with_units)
     if of_rows:
-        labels_with_units = list(map(_measured, names[-1].cells, of_rows))
+        labels_with_units = list(map(_head_with_unit, names[-1].cells, of_rows))
         names[-1] = names[-1]._replace(cells=labels_with_units)
     if notes:
-        names = [_parted(c, "...") for c in names]
-        columns = [_parted(c, "") for c in columns]
+        names = [_mark_omitted_rows(c, "...") for c in names]
+        columns = [_mark_omitted_rows(c, "") for c in columns]
     return _move_texts_to_notes(_Cells(names, columns, notes))
 
 
@@ -202,7 +206,7 @@ def _move_texts_to_notes(cells: _Cells) -> _Cells:
     notes = [*cells.notes, *(f"{c.head}: {c.cells[0]}" for c in constant if c.long)]
     empty = [c.head for c in constant if not c.long]
     notes += [f"{', '.join(empty)}: none."] if empty else []
-    taken = sum(_shares(cells._replace(columns=columns))) + sum(
+    taken = sum(_share_width(cells._replace(columns=columns))) + sum(
         c.narrowest + GAP for c in columns if not c.long
     )
     long = [c for c in columns if c.long]
@@ -221,27 +225,27 @@ def _move_texts_to_notes(cells: _Cells) -> _Cells:
     )
 
 
-def _parted(column: _Column, mark: str) -> _Column:
+def _mark_omitted_rows(column: _Column, mark: str) -> _Column:
     """With a cell where rows are not shown."""
     return column._replace(cells=[*column.cells[:ENDS], mark, *column.cells[ENDS:]])
 
 
-def _measured(name: str, unit: str | None) -> str:
+def _head_with_unit(name: str, unit: str | None) -> str:
     """A name with a unit, which is not broken."""
     named = f"{name} [{unit}]" if unit else name
     return UNIT.sub(lambda match: match[0].replace(" ", FIRM), named)
 
 
-def _column(
+def _format_column(
     head: str, values: list, errors: list | None = None, rows: list[Callable] | None = None
 ) -> _Column:
     """Of values, with their errors; `rows`: how numbers are written in each row, of several
     units."""
-    columns = [_as_column(_floats(values))] * len(values)
-    cells = [_cell(x, write) for x, write in zip(values, rows or columns, strict=True)]
+    columns = [_format_for_column(_floats(values))] * len(values)
+    cells = [_format_cell(x, write) for x, write in zip(values, rows or columns, strict=True)]
     if errors is not None:
         pairs = zip(cells, values, errors, strict=True)
-        cells = [_with_error(cell, x, error) for cell, x, error in pairs]
+        cells = [_cell_with_error(cell, x, error) for cell, x, error in pairs]
     return _Column(head, cells, any(isinstance(x, str) for x in values))
 
 
@@ -250,7 +254,7 @@ def _floats(values: Iterable) -> list[float]:
     return [x for x in values if isinstance(x, float) and math.isfinite(x) and x]
 
 
-def _with_error(cell: str, value: Any, error: Any) -> str:
+def _cell_with_error(cell: str, value: Any, error: Any) -> str:
     """A cell, with the error of its value where there is one."""
     if not (_floats([value]) or value == 0) or not isinstance(error, float) or math.isnan(error):
         return cell
@@ -262,25 +266,25 @@ def _with_error(cell: str, value: Any, error: Any) -> str:
     return text.replace(" ", FIRM)
 
 
-def _cell(value: Any, write: Callable[[float], str]) -> str:
+def _format_cell(value: Any, write: Callable[[float], str]) -> str:
     """A value in a cell; `write`: how a number is written there."""
     if isinstance(value, (bool, np.bool_)):
         return "yes" if value else "no"
     if isinstance(value, float):
-        return write(value) if math.isfinite(value) and value else _alone(value)
+        return write(value) if math.isfinite(value) and value else _format_alone(value)
     if isinstance(value, (list, tuple)):
         few = len(value) <= DIGITS
-        entries = f",{FIRM}".join(_cell(x, _alone) for x in value)
+        entries = f",{FIRM}".join(_format_cell(x, _format_alone) for x in value)
         return f"({entries})" if few else f"{len(value)}{FIRM}numbers"
     return "" if value is None else " ".join(str(value).split())
 
 
-def _alone(value: float) -> str:
+def _format_alone(value: float) -> str:
     """A number that no other has to be compared with."""
     return in_few(value, DIGITS)
 
 
-def _digits(numbers: list[float], step: float = 0.0) -> int:
+def _digits_to_separate(numbers: list[float], step: float = 0.0) -> int:
     """As many as tell apart what is alike in size, and steps."""
     size = max(map(abs, numbers))
     similar = [x for x in numbers if abs(x) >= SIMILAR_SHARE * size]
@@ -289,22 +293,22 @@ def _digits(numbers: list[float], step: float = 0.0) -> int:
     return max([DIGITS, *(min(math.ceil(power) + 1, most) for most, power in digit_counts)])
 
 
-def _in_row(numbers: list[float]) -> Callable[[float], str]:
+def _format_for_row(numbers: list[float]) -> Callable[[float], str]:
     """How numbers of one unit beside each other are written."""
     if not numbers:
-        return _alone
-    most, size = _digits(numbers), max(map(abs, numbers))
+        return _format_alone
+    most, size = _digits_to_separate(numbers), max(map(abs, numbers))
     return lambda x: in_few(x, most if abs(x) >= SIMILAR_SHARE * size else DIGITS)
 
 
-def _as_column(numbers: list[float]) -> Callable[[float], str]:
+def _format_for_column(numbers: list[float]) -> Callable[[float], str]:
     """How the numbers of a column are written: without zeros in which all of them end, and with as
     many digits behind the point where they are alike in size or rise, as times do."""
     if not numbers:
-        return _alone
+        return _format_alone
     steps = [after - before for before, after in itertools.pairwise(numbers)]
     least = min(steps) if len(steps) > 1 else 0.0
-    most, sizes = _digits(numbers, least), [abs(x) for x in numbers]
+    most, sizes = _digits_to_separate(numbers, least), [abs(x) for x in numbers]
     size, is_similar = max(sizes), least > 0 or min(sizes) >= SIMILAR_SHARE * max(sizes)
     if SMALL <= size < PLAIN and is_similar:
         places = max(most - 1 - math.floor(math.log10(size)), 0)
@@ -320,11 +324,11 @@ def _first(formats: list[str], numbers: list[float]) -> Callable[[float], str]:
     return lambda x: f"{x:{chosen}}".replace(".e", "e").rstrip(".")
 
 
-def _width(texts: Sequence[str]) -> int:
+def _widest(texts: Sequence[str]) -> int:
     return max(map(len, texts), default=0)
 
 
-def _broken(text: str, width: int) -> list[str]:
+def _break_lines(text: str, width: int) -> list[str]:
     """Lines of at most so many characters, broken behind spaces and points."""
     lines = [""]
     for piece in PIECE.split(text):
@@ -336,7 +340,7 @@ def _broken(text: str, width: int) -> list[str]:
     return [line.rstrip() for line in lines]
 
 
-def _shares(cells: _Cells) -> list[int]:
+def _share_width(cells: _Cells) -> list[int]:
     """What columns that name the rows take of a line: what others leave, or what may be."""
     width = lambda c: min(c.narrowest, LONG) if c.is_text else c.narrowest
     others = sum(width(c) + GAP for c in cells.columns)
@@ -355,49 +359,49 @@ class _Fitted(NamedTuple):
     at_left: bool
 
 
-def _fitted(column: _Column, most: int, to_left: bool) -> _Fitted:
+def _fit_column(column: _Column, most: int, to_left: bool) -> _Fitted:
     """A column of at most so many characters."""
     width = min(column.narrowest, most)
-    cells = [_broken(cell, width) for cell in column.cells]
-    return _Fitted(_broken(column.head, max(width, 1)), cells, width, to_left)
+    cells = [_break_lines(cell, width) for cell in column.cells]
+    return _Fitted(_break_lines(column.head, max(width, 1)), cells, width, to_left)
 
 
-def _best(cells: _Cells) -> _Cells:
+def _choose_orientation(cells: _Cells) -> _Cells:
     """The way round that is less broken, or takes fewer lines."""
     if len(cells.names[0].cells) > WIDTH or not cells.columns:
         return cells
-    shapes = [(lines.count(""), len(lines)) for lines in map(_in_blocks, (cells, cells.swapped))]
+    shapes = [(lines.count(""), len(lines)) for lines in map(_stack_blocks, (cells, cells.swapped))]
     return cells.swapped if shapes[0][0] and shapes[1] <= shapes[0] else cells
 
 
-def _in_lines(cells: _Cells) -> list[str]:
+def _terminal_lines(cells: _Cells) -> list[str]:
     """The table in lines of a terminal."""
     notes = [textwrap.wrap(note, WIDTH, subsequent_indent="    ") for note in cells.notes]
-    lines = itertools.chain(_in_blocks(_best(cells)), *notes)
+    lines = itertools.chain(_stack_blocks(_choose_orientation(cells)), *notes)
     return [line.replace(FIRM, " ") for line in lines]
 
 
-def _in_blocks(cells: _Cells) -> list[str]:
+def _stack_blocks(cells: _Cells) -> list[str]:
     """As many columns side by side as a line holds, the others below, after an empty line."""
-    shares = _shares(cells)
-    names = [_fitted(n, s - GAP, True) for n, s in zip(cells.names, shares, strict=True)]
+    shares = _share_width(cells)
+    names = [_fit_column(n, s - GAP, True) for n, s in zip(cells.names, shares, strict=True)]
     free_width = WIDTH - sum(shares)
     long = [column for column in cells.columns if column.long]
     free = free_width - sum(column.narrowest + GAP for column in cells.columns if not column.long)
     share = max(free // max(len(long), 1) - GAP, LONG)
     blocks: list[list[_Fitted]] = [[]]
     for column in cells.columns:
-        fitted = _fitted(column, share if column.long else free_width, column.is_text)
+        fitted = _fit_column(column, share if column.long else free_width, column.is_text)
         if blocks[-1] and sum(c.width + GAP for c in [*blocks[-1], fitted]) > free_width + GAP:
             blocks.append([])
         blocks[-1].append(fitted)
     lines: list[str] = []
     for block in blocks:
-        lines += [""] * bool(lines) + _drawn([*names, *block])
+        lines += [""] * bool(lines) + _join_columns([*names, *block])
     return lines
 
 
-def _drawn(columns: list[_Fitted]) -> list[str]:
+def _join_columns(columns: list[_Fitted]) -> list[str]:
     """Columns side by side, with their heads."""
     deepest = max(len(column.head) for column in columns)
     lines = [[[""] * (deepest - len(column.head)) + column.head for column in columns]]
@@ -411,9 +415,9 @@ def _drawn(columns: list[_Fitted]) -> list[str]:
     return drawn
 
 
-def _in_html(cells: _Cells) -> str:
+def _html_table(cells: _Cells) -> str:
     """The table in a page, lying as it does in a terminal."""
-    cells = _best(cells)
+    cells = _choose_orientation(cells)
     columns = [*cells.names, *cells.columns]
     # Sentences get a width of their own: on a narrow page they stood one word a line.
     kinds = ['td class="sentence"' if c.long else "td" for c in columns]

@@ -10,7 +10,13 @@ from jax.custom_derivatives import SymbolicZero
 
 
 def pushed(function: Callable, numbers: Sequence[Any], tangents: Sequence[Any]) -> tuple[Any, Any]:
-    """As `jax.jvp(function, numbers, tangents)`, where some of the tangents are `SymbolicZero`."""
+    """As `jax.jvp(function, numbers, tangents)`, where some tangents are `SymbolicZero`.
+
+    Args:
+        function: of these numbers.
+        numbers: pytrees at which it is differentiated.
+        tangents: of the same structure; symbolic zeros are not propagated.
+    """
     leaves, structure = jax.tree.flatten(tuple(numbers))
     moves = jax.tree.leaves(tuple(tangents))
     moving = [i for i, t in enumerate(moves) if not isinstance(t, SymbolicZero)]
@@ -52,8 +58,15 @@ def zeros_with(number: Any, like: Any) -> Any:
 
 
 def apply_if(condition: Any, function: Callable, value: Any) -> Any:
-    """`function(known)` where it is wanted, otherwise what is known. A kernel goes through a loop
-    of no turns for nothing, but through both sides of a choice."""
+    """`function(value)` where a condition holds, otherwise `value`.
+
+    It is a loop of no or one turn: kernels skip it, while of a choice they evaluate both sides.
+
+    Args:
+        condition: may be traced.
+        function: keeps shapes and types of the value.
+        value: pytree of arrays.
+    """
     turn = lambda carry: (carry[0] + 1, function(carry[1]))
     first = jnp.zeros((), int), value
     return jax.lax.while_loop(lambda carry: carry[0] < condition.astype(int), turn, first)[1]

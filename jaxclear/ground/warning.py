@@ -72,8 +72,17 @@ IN_JAX = (
 
 
 def call_user(what: str, function: Callable, *arguments: Any, requirement: str = "") -> Any:
-    """What a function answers. Raises `ValueError`, with a sentence that begins with `what`, where
-    it leaves JAX or fails; `wanted`: what is asked of it, a sentence."""
+    """Result of a function that a user gave.
+
+    Args:
+        what: begins the message: whose function it is.
+        function: of the user.
+        arguments: of the function.
+        requirement: ends the message: a sentence with what it must do.
+
+    Raises:
+        ValueError: it fails, or leaves JAX.
+    """
     try:
         return function(*arguments)
     except UNTRACEABLE as error:

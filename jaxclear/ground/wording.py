@@ -65,8 +65,14 @@ def meant(name: Any, names: Iterable[Any]) -> str:
 
 
 def unknown(what: str, name: Any, names: Iterable[Any], where: str = "") -> str:
-    """A sentence for a name that there is not, with those that there are and the nearest; `where`:
-    in what, such as " in this mechanism"."""
+    """A sentence for a name that does not exist, with those that do and the nearest.
+
+    Args:
+        what: kind of thing that is named, such as "joint".
+        name: as given.
+        names: that exist.
+        where: follows the name, such as " in this mechanism".
+    """
     names = list(names)
     if not isinstance(name, str):
         named = f"one of {listed(names)}" if names else "but there is none"
@@ -81,14 +87,14 @@ def public_name(kind: Any) -> str:
     """What a user types behind `jaxclear.` for a class or function, such as `contact.Hertz`; its
     own name where it is not of this package.
     """
-    return _offered_by_package(kind) or kind.__qualname__
+    return _find_path_in_package(kind) or kind.__qualname__
 
 
 def as_typed(path: str) -> str:
     """The dotted path of one of the package's classes as users type it; its name where they are
     offered none."""
     module, _, name = path.rpartition(".")
-    offered = _offered_by_package(getattr(sys.modules.get(module), name, path))
+    offered = _find_path_in_package(getattr(sys.modules.get(module), name, path))
     return f"jaxclear.{offered}" if offered else name
 
 
@@ -112,7 +118,7 @@ def offered_like(name: str, path: str) -> str:
     return f"{place.__name__.partition('.')[0]}.{path.rpartition('.')[0]}.{match}" if match else ""
 
 
-def _offered_by_package(kind: Any) -> str:
+def _find_path_in_package(kind: Any) -> str:
     """The path to a thing by the names that the package offers; "" where there is none. What it
     loads when it is first asked for is asked only for things that came later than itself."""
     package = sys.modules[__name__.partition(".")[0]]

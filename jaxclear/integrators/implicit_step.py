@@ -9,8 +9,7 @@ from jaxtyping import Array
 
 from jaxclear.formulations import contact_rows
 from jaxclear.formulations.compliant import CompliantContact
-from jaxclear.formulations.contact_rows import TimeStep
-from jaxclear.formulations.contacts_over_step import damped
+from jaxclear.formulations.contact_rows import TimeStep, damped
 from jaxclear.formulations.films_over_step import films_of
 from jaxclear.formulations.loop_closing import closed
 from jaxclear.formulations.midpoint_step import surplus

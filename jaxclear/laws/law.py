@@ -30,8 +30,13 @@ class AbstractLaw(AbstractQuantified):
 
 
 def check_increasing(law: AbstractLaw, smaller: str, larger: str) -> None:
-    """Raises `ValueError` unless one number of a law is below another; fits and numbers that are
-    being traced pass.
+    """Raises `ValueError` unless one number of a law is below another.
+
+    Fits and numbers that are being traced pass.
+
+    Args:
+        law: with both numbers.
+        smaller, larger: names of its fields.
     """
     low, high = getattr(law, smaller), getattr(law, larger)
     if isinstance(low, eqx.Module) or isinstance(high, eqx.Module):

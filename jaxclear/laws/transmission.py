@@ -32,7 +32,14 @@ def bounded(spring: Any, damper: Any) -> Any:
 
 
 def one_sided(stretch: Any, rate: Any, stiffness: Any, damping: Any) -> Pull:
-    """A spring that acts on one side of 0, beside a damper bounded by it (None: no damper)."""
+    """A spring that acts on one side of 0, with a parallel damper bounded by the spring's force.
+
+    Args:
+        stretch: of the spring [rad, m]; it acts where this is positive.
+        rate: of the stretch [rad/s, m/s].
+        stiffness: [N m/rad, N/m].
+        damping: [N m s/rad, N s/m]; None: no damper.
+    """
     beyond = positive_part(jnp.asarray(stretch, float))
     spring = stiffness * beyond
     stored = 0.5 * spring * beyond
@@ -43,13 +50,17 @@ def one_sided(stretch: Any, rate: Any, stiffness: Any, damping: Any) -> Pull:
 
 
 def freewheel(twist: Any, rate: Any, stiffness: Any, damping: Any) -> tuple[Pull, Any]:
-    r"""A spring and a damper between one end and another that may slip backwards alone:
-    its pull, and the rate of its twist.
+    r"""Pull of a freewheel, a spring and damper whose end slips backwards, and its rate of twist.
 
     With the twist :math:`\theta` of the spring, :math:`F = k\theta + d\dot\theta \ge 0`, the end
     slips at :math:`\dot s - \dot\theta \le 0`, and only where F = 0: :math:`\dot\theta =
     \max(\dot s, -(k/d)\,\theta)`. While it locks the twist follows the stretch: it holds a load
     without creep. Power :math:`d\,\dot\theta^2` is lost.
+
+    Args:
+        twist: :math:`\theta` [rad, m].
+        rate: :math:`\dot s`, of the stretch between both ends [rad/s, m/s].
+        stiffness, damping: k [N m/rad, N/m] and d [N m s/rad, N s/m], > 0.
 
     Source: the shaft with damping behind a gap of Nordin, Galić & Gutman 1997, Int. J. Adapt.
     Control Signal Process. 11, 49, with one flank.
@@ -71,13 +82,17 @@ class Helix(NamedTuple):
 
 
 def helix(lead: Any, diameter: Any, flank_angle: Any) -> Helix:
-    r"""The helix of a thread of `lead` l [m] and mean `diameter` d [m], its flanks inclined by the
-    `flank_angle` :math:`\alpha` [rad] (in the section across the thread).
+    r"""The helix of a thread: its slope, radius and normal force.
 
     With :math:`\tan\lambda = l / (\pi d)` the normal force of a flank that pushes F along the axis
     and :math:`F l / 2\pi` about it is :math:`N = F / (\cos\lambda \cos\alpha)`; friction
     :math:`\mu N` acts along the helix. Raising and lowering follow: :math:`T = \frac{F
     d}{2}\,\frac{l \pm \pi \mu d \sec\alpha}{\pi d \mp \mu l \sec\alpha}`.
+
+    Args:
+        lead: l, travel in one turn [m].
+        diameter: mean diameter d [m].
+        flank_angle: :math:`\alpha`, of the flanks in the section across the thread [rad].
 
     Source: Budynas & Nisbett 2020, Shigley's Mechanical Engineering Design, 11th ed., equations
     8-1, 8-2 and 8-5.
@@ -88,10 +103,19 @@ def helix(lead: Any, diameter: Any, flank_angle: Any) -> Helix:
 
 
 def holding(deflection: Any, slip: Any, yields: Any, settling: Any) -> tuple[Any, Any]:
-    """Friction that holds: a spring up to the deflection at which it `yields`, and no more beyond,
-    damped for a time `settling` [s] while it holds. It does not creep, and sliding fast it is no
-    stiffer than at rest. (The share of the largest friction that acts, from -1 to 1 along the slip,
-    and the rate of the deflection.)
+    """Friction that holds: an elastic, perfectly plastic spring, damped while it holds.
+
+    It does not creep, and sliding fast it is no stiffer than at rest.
+
+    Args:
+        deflection: of the spring [rad, m].
+        slip: rate of sliding [rad/s, m/s].
+        yields: deflection at which the spring yields [rad, m].
+        settling: time constant of the damping [s].
+
+    Returns:
+            The share of the largest friction that acts, -1 to 1 along the slip; the rate of the
+        deflection.
 
     Source: Prandtl 1928, Z. angew. Math. Mech. 8, 85, doi:10.1002/zamm.19280080202 (an elastic,
     perfectly plastic element).
@@ -102,12 +126,19 @@ def holding(deflection: Any, slip: Any, yields: Any, settling: Any) -> tuple[Any
 
 
 def loss(force: Any, share: Any, efficiency: Any, backwards: Any) -> Any:
-    r"""Friction [N, N m] against the motion of the driving end of a transmission that pushes back
-    on it by `force` F, of which a `share` from -1 to 1 acts: in full :math:`|F|(1/\eta - 1)` where
-    power goes forwards, :math:`|F|(1 - \eta_b)` where it comes back.
+    r"""Friction [N, N m] against the motion of the driving end of a transmission.
 
-    What comes out is :math:`\eta` times what goes in; one that locks itself has
-    :math:`\eta_b < 0`. F is positive where it pushes against a positive motion.
+    In full :math:`|F|(1/\eta - 1)` where power goes forwards, :math:`|F|(1 - \eta_b)` where it
+    comes
+    back. What comes out is :math:`\eta` times what goes in; one that locks itself has
+    :math:`\eta_b < 0`.
+
+    Args:
+            force: F, by which the transmission pushes back on that end, positive against a positive
+            motion.
+        share: of the friction that acts [1], -1 to 1.
+        efficiency: :math:`\eta` forwards [1].
+        backwards: :math:`\eta_b` [1], below 0 for a self-locking transmission.
 
     Source: Pelchen, Schweiger & Otter 2002, Modeling and simulating the efficiency of gearboxes and
     of planetary gearboxes, Proc. 2nd Int. Modelica Conference, 257.

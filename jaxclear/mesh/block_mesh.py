@@ -52,7 +52,7 @@ class BlockMesh(eqx.Module):
 
     def hexahedra(self) -> Int[np.ndarray, "cells 8"]:
         """Corners of every cell, ordered as in VTK."""
-        return np.concatenate([_cells(group) for group in self.groups])
+        return np.concatenate([_cell_corners(group) for group in self.groups])
 
     def scaled_jacobians(self) -> Float[Array, " cells"]:
         """Shape of every cell: the smallest determinant of the edges at a corner, each of unit
@@ -60,11 +60,11 @@ class BlockMesh(eqx.Module):
 
         Source: Knupp 2000, Int. J. Numer. Meth. Eng. 48, 1165.
         """
-        return _shapes(self.points, self.hexahedra())
+        return _shape_quality(self.points, self.hexahedra())
 
     def volume(self) -> Float[Array, ""]:
         """Volume of all cells [m3]: five tetrahedra each, the mean of both ways to cut them."""
-        return _volume(self.points, self.hexahedra())
+        return _hexahedron_volumes(self.points, self.hexahedra())
 
 
 # Two ways to cut a hexahedron into five tetrahedra.
@@ -75,7 +75,7 @@ CUTS = (
 
 
 @jax.jit
-def _shapes(points, hexahedra):
+def _shape_quality(points, hexahedra):
     corners = points[hexahedra]
     edges = corners[:, np.array(NEXT)] - corners[:, :, None, :]
     lengths = jnp.linalg.norm(edges, axis=-1)
@@ -85,16 +85,16 @@ def _shapes(points, hexahedra):
 
 
 @jax.jit
-def _volume(points, hexahedra):
-    return 0.5 * sum(_tetrahedra(points[hexahedra], cut) for cut in CUTS)
+def _hexahedron_volumes(points, hexahedra):
+    return 0.5 * sum(_tetrahedron_volumes(points[hexahedra], cut) for cut in CUTS)
 
 
-def _tetrahedra(corners, cut):
+def _tetrahedron_volumes(corners, cut):
     a, b, c, d = jnp.moveaxis(corners[:, np.array(cut)], 2, 0)
     return jnp.sum(jnp.einsum("...i,...i", jnp.cross(b - a, c - a), d - a)) / 6
 
 
-def _cells(group: Int[np.ndarray, "blocks i j k"]) -> Int[np.ndarray, "cells 8"]:
+def _cell_corners(group: Int[np.ndarray, "blocks i j k"]) -> Int[np.ndarray, "cells 8"]:
     i, j, k = (size - 1 for size in group.shape[1:])
     corners = [group[:, a : a + i, b : b + j, c : c + k] for a, b, c in CORNERS]
     return np.stack(corners, axis=-1).reshape(-1, 8)
@@ -103,7 +103,7 @@ def _cells(group: Int[np.ndarray, "blocks i j k"]) -> Int[np.ndarray, "cells 8"]
 def joined(groups: Sequence[Float[np.ndarray, "blocks i j k 3"]]) -> BlockMesh:
     """The mesh of blocks given by the places of their points; points in one place become one.
     Blocks that are left-handed are turned over."""
-    groups = [np.stack([_right_handed(block) for block in group]) for group in groups]
+    groups = [np.stack([_make_right_handed(block) for block in group]) for group in groups]
     every = np.concatenate([group.reshape(-1, 3) for group in groups])
     pairs = scipy.spatial.cKDTree(every).query_pairs(SAME * np.ptp(every), output_type="ndarray")
     links = scipy.sparse.coo_matrix((np.ones(len(pairs)), pairs.T), shape=(len(every),) * 2)
@@ -116,7 +116,7 @@ def joined(groups: Sequence[Float[np.ndarray, "blocks i j k 3"]]) -> BlockMesh:
     return BlockMesh(jnp.asarray(points), tuple(numbers))
 
 
-def _right_handed(block: Float[np.ndarray, "i j k 3"]) -> Float[np.ndarray, "i j k 3"]:
+def _make_right_handed(block: Float[np.ndarray, "i j k 3"]) -> Float[np.ndarray, "i j k 3"]:
     corner = block[0, 0, 0]
     edges = block[1, 0, 0] - corner, block[0, 1, 0] - corner, block[0, 0, 1] - corner
     return block if np.linalg.det(np.stack(edges)) > 0 else block[::-1]
@@ -146,7 +146,7 @@ class BlockDeformation(eqx.Module):
     def __call__(self, displacement: Float[Array, "held 3"]) -> Float[Array, "points 3"]:
         """Displacement of every point [m]."""
         points = self.mesh.points
-        everywhere = _with_ones(points) @ (self.affine @ displacement)
+        everywhere = _append_ones(points) @ (self.affine @ displacement)
         rest = displacement - everywhere[self.wall]
         moved = jnp.zeros_like(points).at[self.wall].set(rest)
         moved = moved.at[self.free].set(self.spline @ rest)
@@ -171,25 +171,25 @@ class BlockDeformation(eqx.Module):
 def deformation(mesh: BlockMesh, wall: Int[np.ndarray, " held"]) -> BlockDeformation:
     """What moves a mesh of which the points `held` are displaced by hand."""
     points = np.asarray(mesh.points)
-    free = np.setdiff1d(_corners(mesh), wall)
-    faces = np.setdiff1d(_between_blocks(mesh), np.union1d(wall, free))
+    free = np.setdiff1d(_corner_points(mesh), wall)
+    faces = np.setdiff1d(_shared_points(mesh), np.union1d(wall, free))
     return BlockDeformation(
         mesh=mesh,
         wall=wall,
         free=free,
-        spline=jnp.asarray(_spline(points, wall, free)),
+        spline=jnp.asarray(_spline_weights(points, wall, free)),
         affine=jnp.asarray(np.linalg.pinv(np.insert(points[wall], 0, 1.0, axis=1))),
         lengths=tuple(_arc_lengths(points[group]) for group in mesh.groups),
         faces=faces,
-        links=_links(mesh, points, faces),
+        links=_neighbour_weights(mesh, points, faces),
     )
 
 
-def _with_ones(points):
+def _append_ones(points):
     return jnp.concatenate([jnp.ones((len(points), 1)), points], axis=1)
 
 
-def _corners(mesh: BlockMesh) -> Int[np.ndarray, " vertices"]:
+def _corner_points(mesh: BlockMesh) -> Int[np.ndarray, " vertices"]:
     return np.unique(np.concatenate([g[np.ix_(*_ends(g.shape))].ravel() for g in mesh.groups]))
 
 
@@ -197,14 +197,14 @@ def _ends(shape: tuple[int, ...]) -> list[Any]:
     return [range(shape[0]), *([0, size - 1] for size in shape[1:])]
 
 
-def _between_blocks(mesh: BlockMesh) -> Int[np.ndarray, " points"]:
+def _shared_points(mesh: BlockMesh) -> Int[np.ndarray, " points"]:
     """Points of more than one block."""
     owners = np.concatenate([np.unique(block) for group in mesh.groups for block in group])
     numbers, times = np.unique(owners, return_counts=True)
     return numbers[times > 1]
 
 
-def _spline(points, wall, free) -> Float[np.ndarray, "free held"]:
+def _spline_weights(points, wall, free) -> Float[np.ndarray, "free held"]:
     """Weights of the walls' displacements in those of the free vertices."""
     from scipy.interpolate import RBFInterpolator
 
@@ -217,7 +217,7 @@ def _spline(points, wall, free) -> Float[np.ndarray, "free held"]:
     return weights
 
 
-def _links(mesh: BlockMesh, points, faces):
+def _neighbour_weights(mesh: BlockMesh, points, faces):
     """From points of faces between blocks to their neighbours; weights by the inverse distance, of
     sum 1 at each."""
     cells = mesh.hexahedra()
@@ -242,7 +242,7 @@ def _arc_lengths(points: Float[np.ndarray, "blocks i j k 3"]) -> Float[Array, "b
 
 def _filled(moved, is_set, lengths):
     """Displacements of a block: those known, then of edges, faces and the inside."""
-    inner = [_inner(is_set.shape, axis) for axis in range(3)]
+    inner = [_inner_mask(is_set.shape, axis) for axis in range(3)]
     for count in (1, 2, 3):
         for axes in itertools.combinations(range(3), count):
             others = [~inner[axis] for axis in range(3) if axis not in axes]
@@ -252,7 +252,7 @@ def _filled(moved, is_set, lengths):
     return moved
 
 
-def _inner(shape: tuple[int, ...], axis: int) -> Bool[np.ndarray, "i j k"]:
+def _inner_mask(shape: tuple[int, ...], axis: int) -> Bool[np.ndarray, "i j k"]:
     """Which points lie between both ends of an axis."""
     place = np.arange(shape[axis])
     along = (place > 0) & (place < shape[axis] - 1)

@@ -80,25 +80,34 @@ class Solid(eqx.Module):
 
 
 def bush(wear_map: Any, thickness: float, cells: tuple[int, int, int]) -> Solid:
-    """Ring around a bearing's bore: `cells` around (a multiple of 4), along (even) and through
-    (even); its outer wall stays."""
+    """A ring around a bearing's bore; its outer wall stays.
+
+    Args:
+        wear_map: of the bearing, with radius and length [m].
+        thickness: of the ring [m].
+        cells: around (a multiple of 4), along (even) and through (even).
+    """
     radius, length = float(wear_map.radius), float(wear_map.length)
-    outward = radius + thickness * _heights(cells[2])
+    outward = radius + thickness * _layer_distances(cells[2])
     blocks = [
-        _ring(angles, heights, depths)
-        for angles in _pieces(np.linspace(0, 2 * np.pi, cells[0] + 1), 4)
-        for heights in _pieces(np.linspace(-0.5, 0.5, cells[1] + 1) * length, 2)
-        for depths in _pieces(outward, 2)
+        _ring_points(angles, heights, depths)
+        for angles in _split(np.linspace(0, 2 * np.pi, cells[0] + 1), 4)
+        for heights in _split(np.linspace(-0.5, 0.5, cells[1] + 1) * length, 2)
+        for depths in _split(outward, 2)
     ]
     mesh = joined([np.stack(blocks)])
     distance = np.hypot(*np.asarray(mesh.points).T[:2])
-    return _solid(mesh, wear_map, distance, (radius, outward[-1]), ACROSS)
+    return _make_solid(mesh, wear_map, distance, (radius, outward[-1]), ACROSS)
 
 
 def pin(wear_map: Any, thickness: float, cells: tuple[int, int, int]) -> Solid:
-    """Journal with a square core: `cells` around (a multiple of 4), along (even) and from the wall
-    to the core (even). Its `thickness` [m] is that of the blocks at the wall, at most half the
-    radius."""
+    """A journal with a square core.
+
+    Args:
+        wear_map: of the journal, with radius and length [m].
+        thickness: of the blocks at the wall [m], at most half the radius.
+        cells: around (a multiple of 4), along (even) and from the wall to the core (even).
+    """
     radius, length = float(wear_map.radius), float(wear_map.length)
     angles = np.linspace(0, 2 * np.pi, cells[0] + 1) + np.pi / 4
     side = cells[0] // 4
@@ -106,26 +115,31 @@ def pin(wear_map: Any, thickness: float, cells: tuple[int, int, int]) -> Solid:
     corners = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1], [1, 1]]) * CORE * radius
     share = np.linspace(0, 1, side + 1)[:, None]
     shells, core = [], []
-    inward = thickness * _heights(cells[2] // 2)
-    for heights in _pieces(np.linspace(-0.5, 0.5, cells[1] + 1) * length, 2):
-        core.append(_upright(np.stack(np.meshgrid(across, across, indexing="ij"), -1), heights))
-        for quarter, sector in enumerate(_pieces(angles, 4)):
+    inward = thickness * _layer_distances(cells[2] // 2)
+    for heights in _split(np.linspace(-0.5, 0.5, cells[1] + 1) * length, 2):
+        core.append(_extrude(np.stack(np.meshgrid(across, across, indexing="ij"), -1), heights))
+        for quarter, sector in enumerate(_split(angles, 4)):
             wall = np.stack([np.cos(sector), np.sin(sector)], -1)
             square = (1 - share) * corners[quarter] + share * corners[quarter + 1]
             layer = (radius - inward)[None, :, None] * wall[:, None]
             steps = np.linspace(0, 1, cells[2] // 2 + 1)[None, :, None]
             rest = (1 - steps) * layer[:, -1:] + steps * square[:, None]
-            shells += [_upright(layer, heights), _upright(rest, heights)]
+            shells += [_extrude(layer, heights), _extrude(rest, heights)]
     mesh = joined([np.stack(shells), np.stack(core)])
     distance = np.hypot(*np.asarray(mesh.points).T[:2])
-    return _solid(mesh, wear_map, distance, (radius,), ACROSS)
+    return _make_solid(mesh, wear_map, distance, (radius,), ACROSS)
 
 
 def socket(wear_map: Any, thickness: float, cells: tuple[int, int, int]) -> Solid:
-    """Shell around a ball, the six sides of a cube blown up: `cells` around (a multiple of 4), the
-    second number is not needed, and through (even); its outer wall stays."""
+    """A shell around a ball, from the six sides of a cube; its outer wall stays.
+
+    Args:
+        wear_map: of the socket, with its radius [m].
+        thickness: of the shell [m].
+        cells: around (a multiple of 4), a number that is not used, and through (even).
+    """
     radius = float(wear_map.radius)
-    outward = radius + thickness * _heights(cells[2])
+    outward = radius + thickness * _layer_distances(cells[2])
     share = np.tan(np.linspace(-0.25, 0.25, cells[0] // 4 + 1) * np.pi)
     u, v = np.meshgrid(share, share, indexing="ij")
     sides = [
@@ -136,38 +150,38 @@ def socket(wear_map: Any, thickness: float, cells: tuple[int, int, int]) -> Soli
     blocks = [
         (side / np.linalg.norm(side, axis=-1, keepdims=True))[:, :, None] * depths[:, None]
         for side in sides
-        for depths in _pieces(outward, 2)
+        for depths in _split(outward, 2)
     ]
     mesh = joined([np.stack(blocks)])
     distance = np.linalg.norm(np.asarray(mesh.points), axis=1)
-    return _solid(mesh, wear_map, distance, (radius, outward[-1]), ALL_AXES)
+    return _make_solid(mesh, wear_map, distance, (radius, outward[-1]), ALL_AXES)
 
 
-def _heights(count: int) -> Float[np.ndarray, " count+1"]:
+def _layer_distances(count: int) -> Float[np.ndarray, " count+1"]:
     """Distances of layers from the wall, as shares of the thickness."""
     return np.concatenate([[0.0], np.cumsum(GROWTH ** np.arange(count))]) / np.sum(
         GROWTH ** np.arange(count)
     )
 
 
-def _pieces(marks: Float[np.ndarray, " marks"], count: int) -> list[Float[np.ndarray, " marks"]]:
+def _split(marks: Float[np.ndarray, " marks"], count: int) -> list[Float[np.ndarray, " marks"]]:
     size = (len(marks) - 1) // count
     return [marks[i * size : (i + 1) * size + 1] for i in range(count)]
 
 
-def _ring(angles, heights, radii):
+def _ring_points(angles, heights, radii):
     angle, z, r = np.meshgrid(angles, heights, radii, indexing="ij")
     return np.stack([r * np.cos(angle), r * np.sin(angle), z], -1)
 
 
-def _upright(plane, heights):
+def _extrude(plane, heights):
     """A plane grid (i, j, 2) at each height (k)."""
     shape = (*plane.shape[:2], len(heights))
     x, y = (np.broadcast_to(plane[..., None, axis], shape) for axis in range(2))
     return np.stack([x, y, np.broadcast_to(heights, shape)], -1)
 
 
-def _solid(
+def _make_solid(
     mesh: BlockMesh,
     wear_map: Any,
     distance: Float[np.ndarray, " points"],

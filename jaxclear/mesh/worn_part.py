@@ -49,7 +49,7 @@ def solid(
         ValueError: if the surface does not wear, or thickness or cells do not fit it.
     """
     expect(mechanism, Mechanism, "what the part belongs to", "a jaxclear.Mechanism")
-    wear_map = _wear_map(mechanism, joint, surface)
+    wear_map = _find_wear_map(mechanism, joint, surface)
     part = f'the {surface} of "{joint}"'
     check_number(f"the thickness of {part}", thickness, "m", above=0)
     if surface == "journal" and thickness > 0.5 * float(wear_map.radius):
@@ -57,8 +57,8 @@ def solid(
             f"the blocks at the wall of {part} are {float(thickness):g} m thick; half its radius, "
             f"{0.5 * float(wear_map.radius):g} m, is the most."
         )
-    least = _as_fine_as(wear_map, surface)
-    counts = (*least, 8) if cells is None else _checked(cells, part)
+    least = _fewest_cells(wear_map, surface)
+    counts = (*least, 8) if cells is None else _check_cells(cells, part)
     if counts[0] < least[0] or (surface != "socket" and counts[1] < least[1]):
         raise ValueError(
             f"{counts[0]} cells around and {counts[1]} along {part} would miss worn places of its "
@@ -67,7 +67,7 @@ def solid(
     return PARTS[surface](wear_map, float(thickness), counts)
 
 
-def _wear_map(mechanism: Mechanism, joint: str, surface: str) -> Any:
+def _find_wear_map(mechanism: Mechanism, joint: str, surface: str) -> Any:
     maps = {
         (name, surface_name): wear_map
         for name in mechanism.topology.clearances
@@ -83,7 +83,7 @@ def _wear_map(mechanism: Mechanism, joint: str, surface: str) -> Any:
     return maps[joint, surface]
 
 
-def _as_fine_as(wear_map: Any, surface: str) -> tuple[int, int]:
+def _fewest_cells(wear_map: Any, surface: str) -> tuple[int, int]:
     """The fewest cells that do not miss one of the map's."""
     around, along = wear_map.cells
     # The sides of a cube have as many cells upwards as around.
@@ -91,7 +91,7 @@ def _as_fine_as(wear_map: Any, surface: str) -> tuple[int, int]:
     return max(8, 4 * -(-around // 4)), max(4, 2 * -(-along // 2))
 
 
-def _checked(cells: Any, part: str) -> tuple[int, int, int]:
+def _check_cells(cells: Any, part: str) -> tuple[int, int, int]:
     if not isinstance(cells, (tuple, list)) or len(cells) != 3:
         raise ValueError(
             f"cells of {part} is {described(cells)}; it must be three numbers: around, along, "

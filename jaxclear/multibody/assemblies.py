@@ -130,7 +130,7 @@ def assemblies(
             "or grad)."
         )
     first = first_search(mechanism, concentric)
-    modes = _modes(mechanism, first, samples)
+    modes = _search_modes(mechanism, first, samples)
     if not modes and first.is_doubted:
         modes = first.without_redundancy().modes(samples)
     if not modes:
@@ -159,14 +159,14 @@ def as_guess(mechanism: Mechanism, coordinates: Any) -> dict[str, tuple[float, .
     return out
 
 
-def _modes(mechanism: Mechanism, first: FirstSearch, samples: int) -> list[Mode]:
+def _search_modes(mechanism: Mechanism, first: FirstSearch, samples: int) -> list[Mode]:
     """The modes that searches find. Where freedoms are left each search goes to what is guessed and
     to homes first, and from there to what is guessed; of two places that small steps lead from one
     to the other the nearer is listed."""
     if first.sought is None or not assembly_modes.leaves_free(first.start):
         return first.modes(samples)
     values = mechanism.start_arguments
-    homes = as_guess(mechanism, _homes(mechanism))
+    homes = as_guess(mechanism, _home_coordinates(mechanism))
     guessed = {n: x for n, x in values["guess"].items() if n in homes}
     total = rebuilt(mechanism, guess=homes | guessed)
     at_homes = first_search(total, first.concentric)
@@ -177,7 +177,7 @@ def _modes(mechanism: Mechanism, first: FirstSearch, samples: int) -> list[Mode]
     saved: list[Mode] = []
     for mode in result:
         for i, present in enumerate(saved):
-            if _leads_to(mechanism, at_homes, present, mode):
+            if _is_reached_from(mechanism, at_homes, present, mode):
                 saved[i] = present._replace(searches=present.searches + mode.searches)
                 break
         else:
@@ -185,13 +185,13 @@ def _modes(mechanism: Mechanism, first: FirstSearch, samples: int) -> list[Mode]
     return saved
 
 
-def _homes(mechanism: Mechanism) -> np.ndarray:
+def _home_coordinates(mechanism: Mechanism) -> np.ndarray:
     parts = mechanism.bodies, mechanism.connections
     branches = [b for b in mechanism.topology.branches if b.coordinate_count]
     return np.array([x for branch in branches for x in joint_of(branch, *parts).home])
 
 
-def _leads_to(mechanism: Mechanism, at_homes: FirstSearch, one: Mode, other: Mode) -> bool:
+def _is_reached_from(mechanism: Mechanism, at_homes: FirstSearch, one: Mode, other: Mode) -> bool:
     """Whether a search that begins at one mode and is guessed at the other lands there."""
     begin = assembly_modes.at(one.start.coordinates)
     there = as_guess(mechanism, other.start.coordinates)

@@ -77,15 +77,25 @@ def assemble_arrays(
     worn: dict | None = None,
     straight: bool = True,
 ) -> Start:
-    """The consistent start nearest to what is guessed, in the mode to which a search from `rough`
-    coordinates and speeds leads, by default the mechanism's guess; of surfaces `worn` so deep [m],
-    beams `straight` as far as can be; pure, so it maps and differentiates."""
+    """The consistent start nearest to the guess, as arrays; pure, so it maps and differentiates.
+
+    Args:
+        mechanism: whose `start` and `speeds` are met, and whose `guess` is approached.
+        concentric: whether journals are put in the middle of their bearings as far as loops allow.
+        time: start of the run [s].
+            rough: coordinates and speeds at which the search begins, which decides the mode; None:
+            at the
+            mechanism's guess.
+            worn: depth maps [m] of surfaces that are worn at the start, by joint and surface; None:
+            new.
+        straight: whether beams start straight and at rest as far as the other equations allow.
+    """
     problem = ask(mechanism, concentric, worn)._replace(straight=straight)
     values = guess(mechanism, problem.system) if rough is None else rough
-    return _solved(problem, *values, time, rough is None, call=in_one)
+    return _solve_start(problem, *values, time, rough is None, call=in_one)
 
 
-def _towards_guess(problem: Ask, q: Array, time: Any) -> Array:
+def _approach_guess(problem: Ask, q: Array, time: Any) -> Array:
     """Rough coordinates led to what is told of other joints than those of the tree, so
     that the search for closed loops begins where it was told: loops and guesses share what
     contradicts."""
@@ -102,7 +112,7 @@ def _towards_guess(problem: Ask, q: Array, time: Any) -> Array:
     return jax.lax.scan(approach, q, length=ITERATIONS)[0]
 
 
-def _solved(
+def _solve_start(
     problem: Ask,
     q: Array,
     v: Array,
@@ -117,15 +127,15 @@ def _solved(
     mechanism = problem.mechanism
     start_check.check_flat_bodies(mechanism, problem.system, motions_at(problem, q, v, time)[2])
     if is_drawn or is_solved(mechanism, problem.concentric):
-        return call(lambda: _started(problem, q, v, time))
+        return call(lambda: _make_start(problem, q, v, time))
 
     def search():
-        start = _towards_guess(problem, q, time) if led else q
+        start = _approach_guess(problem, q, time) if led else q
         return _searched(problem, start, v, time)
 
     # In a batch more may move the one than the other.
     there, moving = call(search)
-    return call(lambda: _started(problem, there, moving, time))
+    return call(lambda: _make_start(problem, there, moving, time))
 
 
 def _searched(problem: Ask, q: Array, v: Array, time: Any) -> tuple[Array, Array]:
@@ -152,16 +162,30 @@ def _searched(problem: Ask, q: Array, v: Array, time: Any) -> tuple[Array, Array
 
 
 def closest(problem: Ask, q: Array, time: Any) -> Array:
-    """Coordinates that miss closed loops, and what is given, by least: also where no coordinates
-    close the loops, or where some of their rows are redundant."""
+    """Coordinates that violate loops and given values least, by damped steps.
+
+    It also serves where no coordinates close the loops, or some of their rows are redundant.
+
+    Args:
+        problem: equations of the start (`ask`).
+        q: coordinates of the tree at which the search begins, shape (coordinates,).
+        time: instant [s] of the drives.
+    """
 
     return closed(problem, q, time, SETTLING, (LOOP, START), damped=True)
 
 
 def carried_on(mechanism: Mechanism, coordinates: Array, speeds: Array, time: Any) -> Start:
-    """The start at a `time` [s] from coordinates and speeds of a run: they themselves where its
-    loops are closed, as far as a run keeps them, otherwise the nearest that close them. Nothing
-    that is given for a start is held; pure.
+    """The start from coordinates and speeds of a run; pure. Nothing that `start` gives is imposed.
+
+    They are kept where they close the loops to the accuracy of a start, otherwise the nearest that
+    do.
+
+    Args:
+        mechanism: whose loops must close; its `start`, `speeds` and `guess` are ignored.
+        coordinates: of the tree, shape (coordinates,).
+        speeds: free speeds, shape (speeds,).
+        time: instant [s] of this state.
     """
     bare = ungiven(mechanism)
     problem = ask(bare, False)
@@ -175,7 +199,7 @@ def carried_on(mechanism: Mechanism, coordinates: Array, speeds: Array, time: An
     return result._replace(coordinates=q, speeds=v, depths={})
 
 
-def _started(problem: Ask, q: Array, v: Array, time: Any) -> Start:
+def _make_start(problem: Ask, q: Array, v: Array, time: Any) -> Start:
     """The start with all by which it is judged."""
     solved, place = is_solved(problem.mechanism, problem.concentric), place_at(problem, q, time)
     positions, speeds = blocks_at(problem, place), speed_blocks(problem, q, v, time)
@@ -190,13 +214,13 @@ def _started(problem: Ask, q: Array, v: Array, time: Any) -> Start:
         {b.name: b.rest for b in speeds if b.kind == LOOP},
         {b.name: b.rest / b.measure for b in positions if b.kind == START},
         {b.name: b.rest / b.measure for b in speeds if b.kind == START},
-        _depths(problem, q, v, time),
+        _start_overlaps(problem, q, v, time),
         {b.name: b.rest / b.measure for b in guess_blocks(problem, place) if b.name not in carried},
         scaled(problem, [] if solved else positions)[0],
     )
 
 
-def _depths(problem: Ask, q: Array, v: Array, time: Any) -> dict[str, Array]:
+def _start_overlaps(problem: Ask, q: Array, v: Array, time: Any) -> dict[str, Array]:
     """Overlap [m] of each clearance joint, and the one allowed; none where journals are concentric
     by construction."""
     if problem.concentric and not problem.mechanism.start:
@@ -225,11 +249,11 @@ def is_sound(mechanism: Mechanism, start: Start) -> Bool[Array, ""]:
 
 
 @compiled_quickly
-def _closest(mechanism: Mechanism, time: Any) -> Start:
+def _search_closest(mechanism: Mechanism, time: Any) -> Start:
     """The search for coordinates that miss closed loops by least."""
     problem = ask(mechanism, False)
     q, v = guess(mechanism)
-    return compiled_sooner(lambda: _started(problem, closest(problem, q, time), v, time))
+    return compiled_sooner(lambda: _make_start(problem, closest(problem, q, time), v, time))
 
 
 class Judged(NamedTuple):
@@ -255,21 +279,21 @@ def _find_start(
     if is_drawn:
         q = seed
     elif begin is None:
-        q = _towards_guess(problem, seed, 0.0)
+        q = _approach_guess(problem, seed, 0.0)
     else:
         q = jnp.where(begin.is_set, begin.coordinates, seed)
-        q = jnp.where(begin.led, _towards_guess(problem, q, 0.0), q)
-    return _solved(problem, q, v, 0.0, is_drawn=is_drawn), seed, problem.arm
+        q = jnp.where(begin.led, _approach_guess(problem, q, 0.0), q)
+    return _solve_start(problem, q, v, 0.0, is_drawn=is_drawn), seed, problem.arm
 
 
-def _judged(mechanism: Any, *rest: Any) -> Judged:
+def _judge_start(mechanism: Any, *rest: Any) -> Judged:
     """The start to which a search leads, judged where its numbers are."""
     start, *place = _find_start(mechanism, *rest)
     return Judged(start, is_sound(mechanism, start), *place)
 
 
 @compiled_quickly
-def _distance_from_start(mechanism: Mechanism, concentric: bool, worn: dict | None) -> Array:
+def _distance_of_guess(mechanism: Mechanism, concentric: bool, worn: dict | None) -> Array:
     """By how much the guess misses all that is asked of a start, beside what is rounding [1]."""
     problem = ask(mechanism, concentric, worn)
     q, v = guess(mechanism, problem.system)
@@ -289,7 +313,7 @@ def _is_drawn(mechanism: Mechanism, concentric: bool, worn: dict | None) -> bool
     move joints, which others must follow."""
     if mechanism.driven or is_solved(mechanism, concentric):
         return False
-    return bool(_distance_from_start(mechanism, concentric, worn) <= 1.0)
+    return bool(_distance_of_guess(mechanism, concentric, worn) <= 1.0)
 
 
 @compiled_quickly
@@ -298,7 +322,7 @@ def _find_carried_on(mechanism: Mechanism, *rest: Any) -> Start:
     return carried_on(mechanism, *rest)
 
 
-def _carried_on(mechanism: Mechanism, *rest: Any) -> tuple[Start, Any]:
+def _carry_on_and_judge(mechanism: Mechanism, *rest: Any) -> tuple[Start, Any]:
     """The same, and whether it is sound."""
     start = _find_carried_on(mechanism, *rest)
     return start, is_sound(mechanism, start)
@@ -370,11 +394,11 @@ class FirstSearch(NamedTuple):
         mechanism = self.sought
         if guess is not None:
             mechanism = eqx.tree_at(lambda m: m.guess, mechanism, guess)
-        result = _judged(mechanism, self.concentric, self.worn, begin)
+        result = _judge_start(mechanism, self.concentric, self.worn, begin)
         if not result.sound:
             # Begun far away it may be on the way still.
             on = assembly_modes.at(result.start.coordinates)
-            result = _judged(mechanism, self.concentric, self.worn, on)
+            result = _judge_start(mechanism, self.concentric, self.worn, on)
         return result.start, result.sound
 
     def modes(self, count: int) -> list[Mode]:
@@ -389,14 +413,19 @@ class FirstSearch(NamedTuple):
 
 
 def first_search(mechanism: Mechanism, concentric: bool, worn: dict | None = None) -> FirstSearch:
-    """Where the search for a start leads from what is guessed of a mechanism with numbers."""
+    """The start to which the search from the mechanism's guess leads, and what other searches need.
+
+    Args:
+        mechanism: with numbers (not traced); its redundancy is determined anew.
+        concentric, worn: mode of journals and depth maps [m] as in `assemble_arrays`.
+    """
     bare = with_redundancy(mechanism, None)
     begin = at_guess(mechanism)
-    first = _judged(bare, concentric, worn, begin, _is_drawn(bare, concentric, worn))
+    first = _judge_start(bare, concentric, worn, begin, _is_drawn(bare, concentric, worn))
     tree = assembly_modes.Coordinates(bare, first.seed, first.arm)
-    judged = lambda m: _judged(m, concentric, worn, begin)[:2]
+    judged = lambda m: _judge_start(m, concentric, worn, begin)[:2]
     is_near = lambda: assembly_modes.is_near_seed(tree, first.start)
-    values, start, sound = _with_redundancy(bare, first.start, first.sound, 0.0, judged, is_near)
+    values, start, sound = _add_redundancy(bare, first.start, first.sound, 0.0, judged, is_near)
     # Redundant rows that motion never changes say nothing new.
     searched = values if values.topology.searched else bare
     sought = None if is_solved(bare, concentric) else searched
@@ -416,11 +445,17 @@ class Nearest(NamedTuple):
 
 
 def nearest(mechanism: Mechanism, concentric: bool = True, worn: dict | None = None) -> Nearest:
-    """The start nearest to what is guessed, of surfaces `worn` so deep [m] (None: new ones): other
-    beginnings are tried where the first has not landed on it. Warns where another mode is about as
-    near. What is being traced is taken as it comes."""
+    """The start nearest to the guess; other beginnings are searched where the first misses it.
+
+    Warns where another mode is about as near. A traced mechanism gets the first search only.
+
+    Args:
+        mechanism: with its `guess`, from which distances are measured.
+        concentric: whether journals are put in the middle of their bearings.
+        worn: depth maps [m] by joint and surface; None: new surfaces.
+    """
     if is_traced((mechanism, worn)) or is_tracing():
-        return Nearest(mechanism, *_judged(mechanism, concentric, worn)[:2])
+        return Nearest(mechanism, *_judge_start(mechanism, concentric, worn)[:2])
     first = first_search(mechanism, concentric, worn)
     result = [] if first.is_taken else first.modes(assembly_modes.SEARCHES)
     start, sound = (result[0].start, True) if result else (first.start, first.sound)
@@ -429,8 +464,8 @@ def nearest(mechanism: Mechanism, concentric: bool = True, worn: dict | None = N
         result = other.modes(assembly_modes.SEARCHES)
         if result:
             begin = assembly_modes.at(result[0].start.coordinates)
-            judged = lambda m: _judged(m, concentric, worn, begin)[:2]
-            values = _with_redundancy(other.mechanism, result[0].start, True, 0.0, judged)
+            judged = lambda m: _judge_start(m, concentric, worn, begin)[:2]
+            values = _add_redundancy(other.mechanism, result[0].start, True, 0.0, judged)
             first, start, sound = other._replace(mechanism=values[0]), *values[1:]
     text = [assembly_modes.doubt(first.mechanism, first.tree, result)] if sound else []
     text += [first.tree.turn_warning(mechanism, start)] if sound else []
@@ -442,8 +477,16 @@ def nearest(mechanism: Mechanism, concentric: bool = True, worn: dict | None = N
 
 
 def ready(mechanism: Mechanism, concentric: bool = True, worn: dict | None = None) -> Nearest:
-    """A mechanism that knows which rows of its loops are redundant, and its start, both as
-    `assemble` wants them. Raises `ValueError` for a start that is not sound."""
+    """The mechanism with its redundant rows, and its start, both as `assemble` needs them.
+
+    Args:
+        mechanism: traced or with numbers; only with numbers its start is checked.
+        concentric: whether journals are put in the middle of their bearings.
+        worn: depth maps [m] by joint and surface; None: new surfaces.
+
+    Raises:
+        ValueError: the start does not meet what `start` and `speeds` give, or loops do not close.
+    """
     result = nearest(mechanism, concentric, worn)
     if not is_traced(result.start) and not result.sound:
         start_check.refuse(result.mechanism, result.start)
@@ -453,19 +496,29 @@ def ready(mechanism: Mechanism, concentric: bool = True, worn: dict | None = Non
 def ready_from(
     mechanism: Mechanism, coordinates: Array, speeds: Array, time: Any
 ) -> tuple[Mechanism, Start]:
-    """`ready`, from coordinates and speeds of a run (`carried_on`)."""
+    """The mechanism with its redundant rows, and the start from a state of a run (`carried_on`).
+
+    Args:
+        mechanism: whose redundancy is determined anew at this state.
+        coordinates: of the tree, shape (coordinates,).
+        speeds: free speeds, shape (speeds,).
+        time: instant [s] of this state.
+
+    Raises:
+        ValueError: no start near the state closes the loops.
+    """
     bare = with_redundancy(mechanism, None)
-    begin = lambda m: _carried_on(m, coordinates, speeds, time)
+    begin = lambda m: _carry_on_and_judge(m, coordinates, speeds, time)
     start, sound = begin(bare)
     if is_traced(start):
         return mechanism, begin(mechanism)[0]
-    values, start, sound = _with_redundancy(bare, start, sound, time, begin)
+    values, start, sound = _add_redundancy(bare, start, sound, time, begin)
     if not sound:
         start_check.refuse(values, start)
     return values, start
 
 
-def _with_redundancy(
+def _add_redundancy(
     bare: Mechanism,
     start: Start,
     sound: Any,
@@ -480,7 +533,7 @@ def _with_redundancy(
         return bare, start, sound
     place = start
     if not sound:
-        place = _closest(bare, time)
+        place = _search_closest(bare, time)
     elif not redundancy.is_suspect(bare, start):
         return bare, start, sound
     result = redundancy.redundancy(bare, place, time)
@@ -517,8 +570,16 @@ class Sampled(NamedTuple):
 
 
 def sampled(mechanism: Mechanism, concentric: bool, worn: dict | None) -> Sampled:
-    """What samples share with a nominal mechanism. Raises `ValueError` for a start that is
-    refused."""
+    """What samples share with the nominal mechanism: determined names, redundancy and the mode.
+
+    Args:
+        mechanism: the nominal one, with numbers.
+        concentric: whether journals are put in the middle of their bearings.
+        worn: depth maps [m] by joint and surface; None: new surfaces.
+
+    Raises:
+        ValueError: the nominal start is refused.
+    """
     result = ready(mechanism, concentric, worn)
     values, start = result.mechanism, result.start
     if is_traced(start):
@@ -529,6 +590,6 @@ def sampled(mechanism: Mechanism, concentric: bool, worn: dict | None) -> Sample
     if names:
         # Their rows are held no more.
         begin = assembly_modes.at(start.coordinates)
-        start = _judged(loosened(values, names), concentric, worn, begin).start
+        start = _judge_start(loosened(values, names), concentric, worn, begin).start
     mode = assembly_modes.nominal(values, start, result.searched)
     return Sampled(names, values.topology.redundancy, mode)

@@ -81,13 +81,19 @@ class Nominal(eqx.Module):
 
 def nominal(mechanism: Mechanism, start: Start, searched: bool) -> Nominal:
     """The mode of a start of a mechanism with numbers. Samples begin there where nothing is left
-    free, or the mechanism's own guess has not led there (`searched`)."""
+    free, or the mechanism's own guess has not led there (`searched`).
+
+    Args:
+        mechanism: the nominal one; only the names of its tree are read.
+        start: its start; `start.rows` are the Jacobian of all equations that hold it.
+        searched: whether other beginnings than the guess led to this start.
+    """
     rows = np.asarray(start.rows)
     count = rows.shape[1]
     across = np.eye(count)
     if rows.size:
         _, sizes, directions = np.linalg.svd(rows)
-        part = directions[: _rank(sizes)]
+        part = directions[: _rank_of(sizes)]
         across = across - part.T @ part
     total = np.trace(across) < 0.5
     coordinates = start.coordinates if searched or total else None
@@ -133,12 +139,12 @@ def _is_nearest(start: Start, far: float) -> bool:
     if not rows.size or not np.all(np.isfinite(rows)):
         return not rows.size
     sizes = np.linalg.svd(rows, compute_uv=False)
-    smallest = sizes[_rank(sizes) - 1]
+    smallest = sizes[_rank_of(sizes) - 1]
     bound = np.linalg.norm(rows) * np.sqrt(rows.shape[1])
     return far <= 2.0 * smallest / bound / (1.0 + ABOUT)
 
 
-def _rank(sizes: np.ndarray) -> int:
+def _rank_of(sizes: np.ndarray) -> int:
     """Of a matrix with these singular values."""
     return max(int(np.sum(sizes > start_check.EXACT * sizes[0])), 1)
 
@@ -160,21 +166,27 @@ def sign(start: Start) -> int:
 def leaves_free(start: Start) -> bool:
     """Whether what is held leaves freedoms."""
     rows = np.asarray(start.rows)
-    rank = _rank(np.linalg.svd(rows, compute_uv=False)) if rows.size else 0
+    rank = _rank_of(np.linalg.svd(rows, compute_uv=False)) if rows.size else 0
     return rank < rows.shape[1]
 
 
 def modes(
     tree: "Coordinates", search: Search, beginnings: Iterable[tuple[Beginning, int]]
 ) -> list[Mode]:
-    """The modes to which searches from beginnings lead, each counted so often: the nearest to what
-    is guessed first, of those as near the one that is nearest to the mechanism's own beginning,
-    which is its joints' homes where nothing is guessed."""
+    """The modes to which searches lead, nearest to the guess first, with counts of searches.
+
+    Modes that are about as near are ordered by the distance from where the mechanism itself begins.
+
+    Args:
+        tree: measures distances between coordinates of the tree.
+        search: function from a beginning to a start and whether it is sound.
+        beginnings: where searches begin, each with the number of searches that it stands for.
+    """
     result: list[Mode] = []
     for begin, count in beginnings:
         start, sound = search(begin)
         if sound:
-            result = _with(tree, result, start, count)
+            result = _add_mode(tree, result, start, count)
 
     def rank(mode):
         near = round(mode.distance / start_check.EXACT)
@@ -184,7 +196,7 @@ def modes(
     return sorted(result, key=rank)
 
 
-def _with(tree: "Coordinates", result: list[Mode], start: Start, count: int) -> list[Mode]:
+def _add_mode(tree: "Coordinates", result: list[Mode], start: Start, count: int) -> list[Mode]:
     """Modes with one to which so many searches have led."""
     part = Mode(tree.unwound(start), tree.distance(start), count)
     for i, mode in enumerate(result):
@@ -204,8 +216,13 @@ def _is_one(tree: "Coordinates", a: Start, b: Start) -> bool:
 
 
 def doubt(mechanism: Mechanism, tree: "Coordinates", result: list[Mode]) -> str:
-    """A sentence where the second of modes is about as near to what is guessed as the first, with
-    both distances; "" where it is not."""
+    """A warning that two modes are about as near to the guess, with both distances; "" where not.
+
+    Args:
+        mechanism: whose `guess` is ambiguous; without a guess there is no warning.
+        tree: names the coordinate in which the two modes differ most.
+        result: modes, nearest first (`modes`).
+    """
     if len(result) < 2 or not mechanism.guess:
         return ""
     first, second = result[:2]
@@ -259,7 +276,7 @@ class Coordinates:
         q = np.asarray(start.coordinates)
         turns = np.round((q - self.seed) / (2 * np.pi)) * (self.units == "rad")
         if np.any(turns):
-            repeats = np.concatenate([np.zeros(0, bool), *map(_repeats, self.joints)])
+            repeats = np.concatenate([np.zeros(0, bool), *map(_is_periodic, self.joints)])
             q = q - np.where(repeats, 2 * np.pi * turns, 0.0)
         return start._replace(coordinates=jnp.asarray(q))
 
@@ -306,7 +323,7 @@ class Coordinates:
         return np.where(self.units == "m", difference / self.arm, difference)
 
 
-def _repeats(joint: Any) -> np.ndarray:
+def _is_periodic(joint: Any) -> np.ndarray:
     """For each coordinate of a joint whether it is an angle that a whole turn brings back."""
     # Anywhere but at home, where a screw might seem to stand still.
     place = [0.3 * (i + 1) for i in range(len(joint.home))]
@@ -323,8 +340,16 @@ def _repeats(joint: Any) -> np.ndarray:
 
 
 def beginnings(mechanism: Mechanism, tree: Coordinates, count: int) -> Iterator[Beginning]:
-    """So many beginnings around the mechanism's own. What `start` gives stays; every other one
-    heeds what is guessed, a half of it that is drawn."""
+    """Random beginnings of searches around the mechanism's own, from a fixed seed.
+
+    Coordinates that `start` gives are kept; every other beginning keeps a random half of the guess
+    too.
+
+    Args:
+        mechanism: whose `start` and `guess` name what is kept.
+        tree: the mechanism's own beginning, with units and branches of the coordinates.
+        count: number of beginnings.
+    """
     random = np.random.default_rng(0)
     for k in range(count):
         led = k % 2 == 0
@@ -333,7 +358,7 @@ def beginnings(mechanism: Mechanism, tree: Coordinates, count: int) -> Iterator[
         q = tree.seed.copy()
         for branch, joint in zip(tree.branches, tree.joints, strict=True):
             part = np.array(
-                [_drawn(random, unit, tree.arm) for unit in joint.units[: branch.coordinate_count]]
+                [_draw(random, unit, tree.arm) for unit in joint.units[: branch.coordinate_count]]
             )
             four = np.array([unit == "1" for unit in joint.units])
             if four.any():
@@ -343,7 +368,7 @@ def beginnings(mechanism: Mechanism, tree: Coordinates, count: int) -> Iterator[
         yield Beginning(jnp.array(True), jnp.array(led), jnp.asarray(q))
 
 
-def _drawn(random: np.random.Generator, unit: str, arm: float) -> float:
+def _draw(random: np.random.Generator, unit: str, arm: float) -> float:
     if unit == "1":
         return random.normal()
     return random.uniform(-1.0, 1.0) * (np.pi if unit == "rad" else REACH * arm)

@@ -26,8 +26,14 @@ TURN = 2 * jnp.pi
 
 
 def read(system: System, name: str, motions: tuple[Motion, ...], angle: Any) -> CoordinateReading:
-    """The coordinate of a joint outside the tree as the motions of the links tell it; `angle`: one
-    within half a turn of it, None where whole turns do not matter."""
+    """The coordinate of a joint outside the tree, from the motions of its two links.
+
+    Args:
+        system: prepared mechanism; `system.measured` has the joint's closure.
+        name: joint that closes a loop, or has clearance.
+        motions: motion of every link at the instant.
+        angle: angle [rad] within half a turn of the result; None: whole turns are not counted.
+    """
     coordinate = system.measured[name]
     pose, velocity, spin = kinematics.relative_motion(coordinate.closure, motions)[2]
     joint = coordinate.joint
@@ -46,15 +52,29 @@ def nearest_turn(angle: Any, near: Any) -> Any:
 
 
 def angle_rates(system: System, layout: Layout, motions: tuple[Motion, ...]) -> list:
-    """Rates [rad/s] of the angles that the state follows."""
+    """Rates [rad/s] of the angles of joints outside the tree that are state entries.
+
+    Args:
+        system: prepared mechanism, as `prepare` returns it.
+        layout: whose `angles` names these joints, in the order of the result.
+        motions: motion of every link at one instant, in the order of `system.links`.
+    """
     return [read(system, name, motions, None).speed for name in layout.angles]
 
 
 def angles_at_start(
     mechanism: Mechanism, system: System, names: tuple[str, ...], motions: tuple[Motion, ...]
 ) -> dict[str, Any]:
-    """The angles [rad] of joints outside the tree, by joint: within half a turn of what `start` or
-    `guess` gives for the joint, of 0 where they give nothing."""
+    """Initial angles [rad] of joints outside the tree, by joint.
+
+    Each is within half a turn of what `start` or `guess` gives for the joint, of 0 without either.
+
+    Args:
+        mechanism: with `start` and `guess`.
+        system: prepared mechanism, as `prepare` returns it.
+        names: joints whose angle is followed over whole turns.
+        motions: motion of every link at the start.
+    """
     angles = {}
     start = mechanism.guess | mechanism.start
     for name in names:
@@ -65,7 +85,15 @@ def angles_at_start(
 
 
 def states_at_start(system: System, layout: Layout, motions: tuple[Motion, ...]) -> list[Any]:
-    """The states of loads and of flanks with which a run begins: shafts are relaxed."""
+    """Initial states of loads and then of transmissions, in the order of `layout.states`.
+
+    A transmission's shaft begins relaxed, its far end where the twist puts it.
+
+    Args:
+        system: prepared mechanism, as `prepare` returns it.
+        layout: of the state array; its order of loads is that of `system`.
+        motions: motion of every link at the start.
+    """
     loads = [x.start for _, load in coordinate_loads(system) for x in load.states()]
     for train in system.transmissions.values():
         if train.has_twist:
@@ -78,13 +106,21 @@ def states_at_start(system: System, layout: Layout, motions: tuple[Motion, ...])
 def started(
     mechanism: Mechanism, system: System, layout: Layout, time: Any, state: Float[Array, " n"]
 ) -> Float[Array, " n"]:
-    """The state at the start of a run, with what it follows beside the motion."""
+    """The state at the start of a run, with angles outside the tree and load states filled in.
+
+    Args:
+        mechanism: whose `start` and `guess` decide whole turns.
+        system: prepared mechanism, as `prepare` returns it.
+        layout: where these entries sit.
+        time: start of the run [s].
+        state: with coordinates and speeds filled in, shape (n,).
+    """
     if not layout.angles and not layout.states:
         return state
-    motions = kinematics.link_motions(system, *unpack_motion(system, _entries(state)), time)
+    motions = kinematics.link_motions(system, *unpack_motion(system, _as_scalars(state)), time)
     if layout.angles:
         angles = angles_at_start(mechanism, system, layout.angles, motions)
-        state = _with_angles(layout, state, angles)
+        state = _set_angles(layout, state, angles)
     if layout.states:
         first, values = layout.state_start, states_at_start(system, layout, motions)
         state = state.at[first : first + len(values)].set(sp.stack(values))
@@ -94,21 +130,29 @@ def started(
 def anchored(
     system: System, layout: Layout, time: Any, state: Float[Array, " n"]
 ) -> Float[Array, " n"]:
-    """The state with the angles that it follows as its coordinates tell them: what their
-    integration has gathered in errors is dropped."""
+    """The state with the angles outside the tree recomputed from the coordinates.
+
+    This drops the error that their integration has accumulated; whole turns stay.
+
+    Args:
+        system: prepared mechanism, as `prepare` returns it.
+        layout: where these angles sit.
+        time: instant [s] of the state.
+        state: end of a span of a run, shape (n,).
+    """
     if not layout.angles:
         return state
-    entries = _entries(state)
+    entries = _as_scalars(state)
     motions = kinematics.link_motions(system, *unpack_motion(system, entries), time)
     followed = unpack_followed(layout, entries).angles
     angles = {n: read(system, n, motions, x).position for n, x in followed.items()}
-    return _with_angles(layout, state, angles)
+    return _set_angles(layout, state, angles)
 
 
-def _entries(state: Array) -> list:
+def _as_scalars(state: Array) -> list:
     return [state[i] for i in range(len(state))]
 
 
-def _with_angles(layout: Layout, state: Array, angles: dict[str, Any]) -> Array:
+def _set_angles(layout: Layout, state: Array, angles: dict[str, Any]) -> Array:
     first = layout.angle_start
     return state.at[first : first + len(angles)].set(sp.stack(list(angles.values())))

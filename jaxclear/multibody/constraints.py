@@ -23,8 +23,13 @@ from jaxclear.multibody.tree import NOTHING, Motion, Wrench
 
 
 def sum_acceleration(motions: tuple[Motion, ...], row: CoordinateSum, second: Any) -> Any:
-    """Second derivative of the row at zero free accelerations; `second` gives relative velocity and
-    spin of a closure, and their rates."""
+    """Second derivative of a sum of coordinates at zero free accelerations.
+
+    Args:
+        motions: motion of every link; drives contribute their prescribed accelerations.
+        row: the sum, the reading of a closure without markers.
+        second: function of a closure: its relative velocity and spin, and the rates of both.
+    """
     out = 0
     for term in row.terms:
         if term.link is not None:
@@ -80,8 +85,13 @@ class ClosureEquations(NamedTuple):
 
 
 def measures(closure: Closure, rows: ConstraintRows, arm: Any) -> list:
-    """What counts as much as a radian in each row that is kept: of lengths the longest `arm`
-    [m]."""
+    """Scale of each moving row by which residuals compare with radians: 1 for angles.
+
+    Args:
+        closure: names its rows; those of lengths are scaled.
+        rows: of this closure; only `moving` ones count.
+        arm: longest arm of the mechanism [m], the scale of lengths.
+    """
     return [arm if loops.is_length(closure.rows[i]) else 1.0 for i in rows.moving]
 
 
@@ -137,8 +147,15 @@ def constraint_rows(
     relative: Relative | None = None,
     jacobian: list[JacobianRow] | None = None,
 ) -> ConstraintRows:
-    """Residuals, rates and Jacobian of a closure's rows; `relative`: the motion of its markers, and
-    `jacobian`, where they are known."""
+    """Residuals, rates and Jacobian of a closure's rows, split in moving and fixed ones.
+
+    Args:
+        system: prepared mechanism, as `prepare` returns it.
+        motions: motion of every link at one instant, in the order of `system.links`.
+        closure: pair of markers, or sum of coordinates.
+        relative: motion of its markers; None: computed from `motions`.
+        jacobian: of all its rows, by speed index; None: computed.
+    """
     if isinstance(closure.reading, CoordinateSum):
         residual, direction = read_sum(motions, closure.reading)
         rate = direction.linear_rate(system, motions)
@@ -172,7 +189,13 @@ def constraint_rows(
 
 
 def residuals(system: System, motions: tuple[Motion, ...], closure: Closure) -> tuple:
-    """Value of each row of a closure [m, rad, 1]; 0 where structurally satisfied."""
+    """Residual of each row of a closure [m, rad, 1]; 0 where structurally satisfied.
+
+    Args:
+        system: not read.
+        motions: motion of every link at one instant, in the order of `system.links`.
+        closure: pair of markers, or sum of coordinates.
+    """
     if isinstance(closure.reading, CoordinateSum):
         return read_sum(motions, closure.reading)[:1]
     pose = kinematics.relative_motion(closure, motions)[1]
@@ -189,7 +212,13 @@ def _counted(closure: Closure, residuals: tuple, pose: Pose, motions: tuple[Moti
 def acceleration_equations(
     system: System, motions: tuple[Motion, ...], stabilisation: Baumgarte | None
 ) -> ClosureEquations:
-    """The equations of all closures; what they want is the right side gamma."""
+    """Constraint equations of all closures at acceleration level, J a = gamma.
+
+    Args:
+        system: prepared mechanism, as `prepare` returns it.
+        motions: motion of every link at one instant, in the order of `system.links`.
+        stabilisation: Baumgarte's terms in gamma; None: without.
+    """
     accelerations = kinematics.link_accelerations(system, motions, None)
     # A marker on the ground shares the fictitious acceleration that stands for gravity.
     ground = Twist(kinematics.upward(system), sp.ZERO)
@@ -231,8 +260,15 @@ def acceleration_equations(
 def closing_rows(
     system: System, motions: tuple[Motion, ...], every: Iterable[tuple[Closure, dict[int, Any]]]
 ) -> list[Row]:
-    """What joints that close loops and rigid couplings do, from each closure and the multipliers of
-    its rows, by their places."""
+    """Forces of joints that close loops and of rigid couplings, as rows.
+
+    Args:
+        system: names the closures (`topology.loops`).
+        motions: motion of every link at one instant, in the order of `system.links`.
+            every: each closure with the multipliers [N, N m] of its moving rows, by row index, in
+            the order
+            of `system.closures`.
+    """
     rows = []
     for name, (closure, forces) in zip(system.topology.loops, every, strict=True):
         if isinstance(closure.reading, CoordinateSum):
@@ -246,7 +282,13 @@ def closing_rows(
 def by_closure(
     system: System, motions: tuple[Motion, ...], multipliers: tuple
 ) -> Iterator[tuple[Closure, dict[int, Any]]]:
-    """Each closure with the multipliers of its rows, by their places."""
+    """Each closure with the multipliers of its moving rows, by row index.
+
+    Args:
+        system: prepared mechanism, as `prepare` returns it.
+        motions: motion of every link; it decides which rows move.
+        multipliers: of the moving rows of all closures, one after another [N, N m].
+    """
     position = 0
     for closure in system.closures:
         rows = constraint_rows(system, motions, closure).moving
@@ -255,8 +297,13 @@ def by_closure(
 
 
 def wrench_of_rows(closure: Closure, pose: Pose, multipliers: dict[int, Any]) -> Wrench:
-    """The wrench on a closure's child about its marker, in the parent marker's axes, from the
-    multipliers of its rows by their places."""
+    """The wrench on a closure's child about its marker, in the parent marker's axes.
+
+    Args:
+        closure: pair of markers.
+        pose: the child's marker in the parent's.
+        multipliers: [N, N m] by row index; rows that are missing carry nothing.
+    """
     force, torque = sp.ZERO, sp.ZERO
     if closure.reading is not None:
         slopes = pose_rows.gradients(closure.reading, pose)[1]
@@ -280,9 +327,18 @@ def wrench_of_rows(closure: Closure, pose: Pose, multipliers: dict[int, Any]) ->
 def wrenches_of_rows(
     system: System, motions: tuple[Motion, ...], multipliers: tuple[dict[int, Any], ...]
 ) -> tuple[list[Wrench], list[Wrench]]:
-    """What multipliers of the closures' rows, by their places, hold up in a mechanism at rest: the
-    wrench on each closure's child about its marker, in the parent marker's axes, and that which
-    each link receives through its inboard joint, in the link's frame."""
+    """Wrenches by which multipliers act through closures and tree joints of a mechanism at rest.
+
+    Args:
+        system: prepared mechanism, as `prepare` returns it.
+        motions: poses of the links; their twists are ignored.
+        multipliers: for each closure, [N, N m] by row index.
+
+    Returns:
+            The wrench on each closure's child about its marker, in the parent marker's axes; and
+        what each
+        link receives through its inboard joint, in the link's frame.
+    """
     rows = closing_rows(system, motions, zip(system.closures, multipliers, strict=True))
     closing = [
         wrench_in_joint([row for row in rows if row.owner == name], name)

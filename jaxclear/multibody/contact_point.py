@@ -30,12 +30,12 @@ from jaxclear.multibody.loops import Relative
 LEAST_FORCE = 1e-30
 
 
-def _counted(share: Any, force: Any) -> Any:
+def _weigh_force(share: Any, force: Any) -> Any:
     """A force of a contact of which a share acts; None: as it is."""
     return force if share is None else share * force
 
 
-def _rub(
+def _friction_forces(
     law: AbstractForceFriction, normal: Any, state: "PointState", slip: tuple, speed: Any
 ) -> tuple[tuple, tuple]:
     """(tractions, rates of the bristles) of a contact; of one of which a share acts, bristles of
@@ -95,8 +95,15 @@ def laws_now(
     axes: tuple[sp.Vec, ...],
     worn: dict[str, Any],
 ) -> tuple[ContactLaws, ...]:
-    """The laws at each possible contact of a joint whose surfaces are worn as they are: the given
-    ones where none counts with its worn radius."""
+    """The laws at each possible contact, refitted to worn radii where these count.
+
+    Args:
+        joint: clearance joint; its maps say whether the worn radius counts.
+        laws: at each possible contact, fitted to the unworn shape.
+        offset: journal's marker in the bearing's frame [m].
+        axes: journal's axes on which the gap depends, unit vectors in the bearing's axes.
+        worn: depth maps [m] by surface.
+    """
     counted = [name for name, (_, w) in joint.maps().items() if w.worn_radius and name in worn]
     if not counted:
         return laws
@@ -208,7 +215,15 @@ def evaluate(
     memory: tuple[PointState, ...],
     worn: dict[str, Any],
 ) -> JointReport:
-    """Forces of a clearance joint; `worn` are the depth maps that feed back into the gap."""
+    """Forces, memory rates and wear rates of a clearance joint at one instant.
+
+    Args:
+        joint: geometry of the clearance.
+        contact_laws: one for each possible contact, fitted to the shape as made.
+        relative: motion of the journal as seen from the bearing, in its axes.
+        memory: impact speed and bristles of each possible contact.
+        worn: depth maps [m] by surface that feed back into the gap.
+    """
     pose, velocity, spin = relative
     gap_functions, acting = gap_function(joint, pose, worn), []
     contact_laws = laws_at(joint, contact_laws, pose, worn)
@@ -216,11 +231,11 @@ def evaluate(
         rate, slip = contact_speeds(joint, pose, contact, velocity, spin)
         impact_speed = impact_speed_now(state.impact_speed, rate)
         normal = laws.contact.normal_force(contact.indentation, rate, impact_speed)
-        normal = _counted(state.share, normal)
+        normal = _weigh_force(state.share, normal)
         speed, tractions, bristle_rates = slip_speed(slip), (), ()
         if laws.friction is not None:
-            tractions, bristle_rates = _rub(laws.friction, normal, state, slip, speed)
-        elastic = _counted(state.share, laws.contact.elastic_force(contact.indentation))
+            tractions, bristle_rates = _friction_forces(laws.friction, normal, state, slip, speed)
+        elastic = _weigh_force(state.share, laws.contact.elastic_force(contact.indentation))
         # Steps set the impact speed where a contact closes; it has no rate.
         standing = None if state.impact_speed is None else 0.0
         remembered, rates = PointState(standing, bristle_rates), (rate, *slip)
@@ -244,9 +259,15 @@ def impact_speed_now(remembered: Any, rate: Any) -> Any:
 def gap_function(
     joint: AbstractClearance, pose: Pose, worn: dict[str, Any]
 ) -> tuple[GapFunction, ...]:
-    """Geometry of every possible contact of a joint."""
-    offset, axes = pose.translation, _axes(joint, pose)
-    indentations, gradients = _indentations(joint, offset, axes, worn)
+    """Geometry of every possible contact of a joint: overlap, its gradients, place.
+
+    Args:
+        joint: geometry of the clearance.
+        pose: journal's marker in the bearing's frame.
+        worn: depth maps [m] by surface; empty: new surfaces.
+    """
+    offset, axes = pose.translation, _axes_of_gap(joint, pose)
+    indentations, gradients = _indentations_with_gradients(joint, offset, axes, worn)
     candidates = joint.contact_candidates(offset, axes, indentations)
     result = []
     for overlap, (slope, turns), candidate in zip(indentations, gradients, candidates, strict=True):
@@ -257,18 +278,36 @@ def gap_function(
 def laws_at(
     joint: AbstractClearance, fitted: tuple[ContactLaws, ...], pose: Pose, worn: dict[str, Any]
 ) -> tuple[ContactLaws, ...]:
-    """Laws of every possible contact of a joint, from those of its shape as made."""
-    return laws_now(joint, fitted, pose.translation, _axes(joint, pose), worn)
+    """The laws of every possible contact of a joint, refitted to its worn radii.
+
+    Args:
+        joint: geometry of the clearance.
+        fitted: the laws fitted to the shape as made.
+        pose: journal's marker in the bearing's frame.
+        worn: depth maps [m] by surface.
+    """
+    return laws_now(joint, fitted, pose.translation, _axes_of_gap(joint, pose), worn)
 
 
 def depths(joint: AbstractClearance, pose: Pose, worn: dict[str, Any]) -> tuple:
-    """Indentation of every possible contact of a joint [m]."""
-    return joint.indentations(pose.translation, _axes(joint, pose), worn)
+    """Indentation of every possible contact of a joint [m], negative where open.
+
+    Args:
+        joint: geometry of the clearance.
+        pose: journal's marker in the bearing's frame.
+        worn: depth maps [m] by surface; empty: new surfaces.
+    """
+    return joint.indentations(pose.translation, _axes_of_gap(joint, pose), worn)
 
 
 def point_motions(joint: AbstractClearance, relative: Relative, worn: dict) -> tuple:
-    """(indentation [m], its rate [m/s], components of slip) of every possible contact of a
-    joint."""
+    """(indentation [m], its rate [m/s], components of slip [m/s]) of every possible contact.
+
+    Args:
+        joint: geometry of the clearance.
+        relative: motion of the journal as seen from the bearing, in its axes.
+        worn: depth maps [m] by surface; empty: new surfaces.
+    """
     pose, velocity, spin = relative
     contacts = gap_function(joint, pose, worn)
     return tuple(
@@ -280,10 +319,19 @@ def point_motions(joint: AbstractClearance, relative: Relative, worn: dict) -> t
 def contact_speeds(
     joint: AbstractClearance, pose: Pose, contact: GapFunction, velocity: sp.Vec, spin: sp.Vec
 ) -> tuple[Any, tuple]:
-    """(rate of the indentation, components of slip) for a relative velocity and spin: linear in
-    both, so it also gives the rows of the contact's Jacobian from the twists of unit speeds."""
+    """(rate of the indentation, components of slip) [m/s], linear in velocity and spin.
+
+    With twists of unit speeds it also gives the rows of the contact's Jacobian.
+
+    Args:
+        joint: geometry of the clearance.
+        pose: journal's marker in the bearing's frame.
+        contact: gradients and place of the contact at this pose.
+        velocity: of the journal's marker as seen from the bearing, in its axes [m/s].
+        spin: relative angular velocity in the bearing's axes [rad/s].
+    """
     rate = sp.dot(contact.slope, velocity)
-    for axis, turn in zip(_axes(joint, pose), contact.axis_slopes, strict=True):
+    for axis, turn in zip(_axes_of_gap(joint, pose), contact.axis_slopes, strict=True):
         rate = sp.add(rate, sp.dot(turn, sp.cross(spin, axis)))
     # Velocity of the journal's material point in contact, seen from the bearing.
     arm = sp.minus(contact.candidate.place, pose.translation)
@@ -299,8 +347,14 @@ def slip_speed(slip: tuple) -> Any:
 def assemble(
     joint: AbstractClearance, pose: Pose, contacts: Sequence[ActingContact]
 ) -> JointReport:
-    """The joint's report from its contacts."""
-    offset, axes = pose.translation, _axes(joint, pose)
+    """A clearance joint's report: the sum of its contacts' wrenches, powers and wear rates.
+
+    Args:
+        joint: geometry of the clearance.
+        pose: journal's marker in the bearing's frame.
+        contacts: every possible contact with its forces.
+    """
+    offset, axes = pose.translation, _axes_of_gap(joint, pose)
     force, torque, powers = sp.ZERO, sp.ZERO, list[tuple]()
     reports: list[PointReport] = []
     for laws, contact, (rate, *slip), normal, tractions, elastic, memory, slid, _ in contacts:
@@ -330,12 +384,12 @@ def assemble(
     )
 
 
-def _axes(joint, pose):
+def _axes_of_gap(joint, pose):
     """Those axes of the journal's marker on which the gap depends, in the bearing's axes."""
     return tuple(sp.transpose(pose.rotation)[k] for k in joint.axes)
 
 
-def _indentations(joint, offset, axes, worn):
+def _indentations_with_gradients(joint, offset, axes, worn):
     """Indentations and, for each, its gradient by the offset and by each axis, with structural
     zeros kept.
     """

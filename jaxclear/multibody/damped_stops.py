@@ -66,7 +66,7 @@ def with_damped_stops(system: System, motions: tuple[Motion, ...]) -> System:
     if not stops:
         return system
     rows = [_coordinate_row(system, motions, stop.connection) for stop in stops.values()]
-    inertias = [1 / each for each in _lightness_along(system, motions, rows)]
+    inertias = [1 / each for each in _inverse_inertia_along(system, motions, rows)]
     pairs = zip(stops.items(), inertias, strict=True)
     damped = {name: stop.damped(inertia) for (name, stop), inertia in pairs}
     return dataclasses.replace(system, loads=system.loads | damped)
@@ -80,12 +80,19 @@ def forces_at(system: System, motions: tuple[Motion, ...], *others: Any) -> Forc
 def with_settled_loads(
     mechanism: Mechanism, system: System, motions: tuple[Motion, ...], delay: Any, times: Any
 ) -> Mechanism:
-    """The mechanism with the numbers of its loads that follow from the inertia along their
-    coordinates, for a run that begins as the links stand and is saved at these times [s]."""
+    """The mechanism with the numbers of loads that follow from the inertia along their coordinates.
+
+    Args:
+        mechanism: its loads without these numbers.
+        system: prepared mechanism, as `prepare` returns it.
+        motions: motion of every link at the start, at which the inertia is taken.
+        delay: time that the steps resolve [s].
+        times: saving times of the run [s].
+    """
     names = loads_to_settle(mechanism)
     loads: dict[str, Any] = dict(mechanism.loads)
     rows = [_coordinate_row(system, motions, *loads[name].coordinates()) for name in names]
-    for name, lightness in zip(names, _lightness_along(system, motions, rows), strict=True):
+    for name, lightness in zip(names, _inverse_inertia_along(system, motions, rows), strict=True):
         loads[name] = loads[name].for_inertia(1 / lightness, delay, times)
     return rebuilt(mechanism, loads=loads)
 
@@ -102,7 +109,7 @@ def _coordinate_row(system: System, motions: tuple[Motion, ...], name: str) -> J
     return reading.direction.jacobian(system, motions)
 
 
-def _lightness_along(system: System, motions: tuple[Motion, ...], rows: list) -> list:
+def _inverse_inertia_along(system: System, motions: tuple[Motion, ...], rows: list) -> list:
     """By how much a unit of force along each row accelerates it, the loops closed."""
     masses: list[Any] = [
         tree.mass_matrix(*kinematics.by_subtree(subtree, system.links, motions))

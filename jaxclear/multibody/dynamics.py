@@ -69,7 +69,13 @@ def equations_of_motion(system: System, forces: Forces) -> tuple[list, list]:
 
 
 def forward_dynamics(system: System, forces: Forces, stabilisation: Baumgarte | None) -> Solution:
-    """Free accelerations under the forces, with the loops closed."""
+    """Free accelerations under the forces, with the loops closed, and the multipliers.
+
+    Args:
+        system: prepared mechanism, as `prepare` returns it.
+        forces: all that acts, with the motions at which it does.
+        stabilisation: Baumgarte's terms of the loops; None: without.
+    """
     masses, right = equations_of_motion(system, forces)
     loops = ClosureEquations([], [], (), None)
     if system.closures:
@@ -87,23 +93,37 @@ def forward_dynamics(system: System, forces: Forces, stabilisation: Baumgarte | 
 def constrained_inverse(
     masses: list, rows: list[JacobianRow], same: tuple, dependence: Dependence | None
 ) -> tuple[Callable[[list[list]], list[list]], Callable[[list, list], tuple[list, tuple]]]:
-    """Two functions: M^-1 by subtrees, from several columns of generalised forces to as many of
-    accelerations, structurally zero where no force acts; and the correction of accelerations to
-    what constraint rows want, with its multipliers; where rows depend on each other the least of
-    them, torques measured by the longest arm. `same` as of `ClosureEquations`: of rows that follow
-    from others at a singular position the multipliers are 0."""
+    """Functions that apply M^-1 and that correct accelerations to satisfy constraint rows.
+
+    Of rows that depend on each other, the multipliers are the least ones, torques divided by the
+    longest
+    arm; of rows that follow from others at a singular position only, they are 0.
+
+    Args:
+        masses: mass matrix of each subtree, rows of entries; empty without free speeds.
+        rows: Jacobian rows of all closures, by speed index.
+        same: kind of each row, as `ClosureEquations.kinds`.
+        dependence: rank of rows that depend on each other; None: they are independent.
+
+    Returns:
+            `respond`: columns of generalised forces to columns of accelerations, structurally zero
+        where no
+            force acts; `constrain`: accelerations and targets of the rows to corrected
+        accelerations and
+        multipliers.
+    """
     result = iter(map_many(factorisation.factor, [(mass,) for mass in masses if mass]))
     factors = [next(result) if mass else None for mass in masses]
     size = sum(len(mass) for mass in masses)
 
     def respond(columns):
         if len(columns) < MANY:
-            return [_responses([column], masses, factors)[0] for column in columns]
-        return _responses(columns, masses, factors)
+            return [_respond_to_columns([column], masses, factors)[0] for column in columns]
+        return _respond_to_columns(columns, masses, factors)
 
     columns = respond([[row.get(j, 0) for j in range(size)] for row in rows])
     schur = [[along(row, column) for column in columns] for row in rows]
-    closed = _solver(schur, same, dependence) if rows else None
+    closed = _make_multiplier_solver(schur, same, dependence) if rows else None
 
     def constrain(accelerations, needed):
         if closed is None:
@@ -120,7 +140,7 @@ def constrained_inverse(
     return respond, constrain
 
 
-def _responses(columns: list[list], masses: list, factors: list) -> list[list]:
+def _respond_to_columns(columns: list[list], masses: list, factors: list) -> list[list]:
     """Accelerations by columns of generalised forces; alike ones are traced once."""
     parts = []
     for forces in columns:
@@ -138,7 +158,7 @@ def _responses(columns: list[list], masses: list, factors: list) -> list[list]:
     return [[x for each in part for x in each] for part in parts]
 
 
-def _solver(
+def _make_multiplier_solver(
     schur: list[list], same: tuple, dependence: Dependence | None
 ) -> Callable[[tuple], tuple]:
     """From what the rows lack to multipliers; `same`: of each row which count alike (None: it is
@@ -161,7 +181,13 @@ def _solver(
 
 
 def with_closures(system: System, forces: Forces, solution: Solution) -> Forces:
-    """The forces, with those of a solution that hold its loops closed."""
+    """The forces with those of closures added: joints that close loops, rigid couplings.
+
+    Args:
+        system: prepared mechanism, as `prepare` returns it.
+        forces: all that acts but the closures.
+        solution: with the multipliers at these forces.
+    """
     every = list(constraints.by_closure(system, forces.motions, solution.multipliers))
     meshes = [
         (transmission.closure, forces.pressing[name].torque / transmission.scale)
@@ -174,8 +200,15 @@ def with_closures(system: System, forces: Forces, solution: Solution) -> Forces:
 
 
 def joint_wrenches(system: System, forces: Forces, solution: Solution) -> tuple[Wrench, ...]:
-    """Wrench that each link receives through its inboard joint (drive and coordinate loads
-    included), in the link's frame, by the forces `with_closures`."""
+    """Wrench that each link receives through its inboard joint, in the link's frame.
+
+    Drives and loads on coordinates are part of it.
+
+    Args:
+        system: prepared mechanism, as `prepare` returns it.
+        forces: all that acts, closures included (`with_closures`).
+        solution: free accelerations under these forces.
+    """
     accelerations = kinematics.link_accelerations(system, forces.motions, solution.accelerations)
     out: list[Wrench] = []
     for subtree in system.topology.subtrees:
@@ -185,7 +218,13 @@ def joint_wrenches(system: System, forces: Forces, solution: Solution) -> tuple[
 
 
 def powers(system: System, forces: Forces, solution: Solution) -> list:
-    """Rates [W] of the energies of the balance, in the order of `state.ENERGIES`."""
+    """Rates [W] of the energies of the balance, in the order of `state.ENERGIES`.
+
+    Args:
+        system: prepared mechanism, as `prepare` returns it.
+        forces: all that acts but the closures, which are added.
+        solution: accelerations and multipliers under these forces.
+    """
     driven, forces = 0, with_closures(system, forces, solution)
     wrenches = joint_wrenches(system, forces, solution)
     for index, link in enumerate(system.links):
@@ -222,13 +261,13 @@ def mechanical_energy(system: System, forces: Forces) -> tuple[Any, Any]:
     for index, (moving, lifted) in enumerate(map_many(energies, calls)):
         rotor = system.links[index].rotor
         if rotor is not None:
-            kinetic = kinetic + 0.5 * rotor * _speed(system, forces, index) ** 2
+            kinetic = kinetic + 0.5 * rotor * _joint_speed(system, forces, index) ** 2
         kinetic = kinetic + moving
         potential = sp.sub(potential, lifted)
     return kinetic, jnp.asarray(potential, float)
 
 
-def _speed(system: System, forces: Forces, index: int) -> Any:
+def _joint_speed(system: System, forces: Forces, index: int) -> Any:
     """Speed [rad/s, m/s] of the single coordinate of a link's joint."""
     (column,) = forces.motions[index].columns
     twist = kinematics.joint_twist(system, forces.motions, index)

@@ -72,7 +72,14 @@ class Forces(NamedTuple):
 def contact_reports(
     system: System, motions: tuple[Motion, ...], memories: dict, worn: dict
 ) -> dict[str, JointReport]:
-    """Report of every clearance joint; `worn` are depth maps by joint and surface."""
+    """Report of every clearance joint, by joint; alike joints are traced once.
+
+    Args:
+        system: prepared mechanism, as `prepare` returns it.
+        motions: motion of every link at one instant, in the order of `system.links`.
+        memories: for each joint, memory of each possible contact.
+        worn: depth maps [m] by joint and surface.
+    """
     relative = relative_motions(system, motions)
     calls = [
         (bearing.joint, bearing.contact_laws, motion, memories[name], worn.get(name, {}))
@@ -101,8 +108,18 @@ def applied_forces(
     time: Any,
     followed: Followed = NOTHING_FOLLOWED,
 ) -> Forces:
-    """Wrench of contacts, loads and couplings that give on every link, and forces on coordinates;
-    `followed`: what the state follows beside the motion."""
+    """All forces at an instant but those of closures: contacts, loads, flexible couplings.
+
+    Args:
+        system: prepared mechanism, as `prepare` returns it.
+        motions: motion of every link at one instant, in the order of `system.links`.
+        reports: of clearance joints, by joint; empty where contacts are solved elsewhere.
+        q: coordinates, a tuple for each link.
+        v: speeds, a tuple for each link.
+        time: instant [s] of the loads.
+            followed: what the state integrates beside the motion: whole-turn angles, load states,
+            flanks.
+    """
     relative = relative_motions(system, motions) if reports else []
     poses = {name: motion.pose for name, motion in zip(reports, relative, strict=True)}
     of_contacts, wrenches = contact_rows(system, poses, reports), [NOTHING] * len(system.links)
@@ -117,7 +134,7 @@ def applied_forces(
             for order, action in enumerate(effect.actions):
                 link, marker = system.load_markers[name][action.place_among(markers, order)]
                 if link is not None:
-                    wrench = _in_link(action, motions[link], marker)
+                    wrench = _wrench_in_link(action, motions[link], marker)
                     wrenches[link] = sum_wrenches(wrenches[link], wrench)
             stored, damping = sp.add(stored, effect.stored), sp.add(damping, effect.dissipated)
             external = sp.add(external, effect.external)
@@ -184,7 +201,13 @@ def with_rows(forces: Forces, rows: Sequence[Row]) -> Forces:
 def contact_rows(
     system: System, poses: dict[str, Pose], reports: dict[str, JointReport]
 ) -> list[Row]:
-    """What the contacts of clearance joints do, by the poses of the journals in their bearings."""
+    """Forces of the contacts of clearance joints, a row for each joint.
+
+    Args:
+        system: with the joints' closures.
+        poses: journal's marker in the bearing's frame, by joint.
+        reports: wrench on each journal, by joint.
+    """
     return [
         row_of_wrench(
             name, system.bearings[name].closure, poses[name], Wrench(r.force, r.torque), name
@@ -224,7 +247,15 @@ def _friction_of_coupling(
 def pressing_of(
     system: System, motions: tuple[Motion, ...], followed: Followed
 ) -> dict[str, Pressing]:
-    """What couplings with play or stiffness do, by name; alike ones are traced once."""
+    """Torque, energy and flanks of couplings with play or stiffness, by name.
+
+    Alike couplings are traced once.
+
+    Args:
+        system: prepared mechanism, as `prepare` returns it.
+        motions: motion of every link at one instant, in the order of `system.links`.
+        followed: with the far ends of shafts and which flanks count as touching.
+    """
     calls = []
     for name, train in system.transmissions.items():
         twist, end = transmissions.twist_of(motions, train), None
@@ -237,7 +268,13 @@ def pressing_of(
 
 
 def states_of(name: str, load: AbstractStateLoad, followed: Followed) -> tuple:
-    """The states of a load; those with which it starts where none are followed."""
+    """The states of a load; those with which it starts where none are followed.
+
+    Args:
+        name: of the load.
+        load: declares its states and their initial values.
+        followed: current states by load.
+    """
     states = followed.states.get(name)
     return tuple(jnp.asarray(x.start, float) for x in load.states()) if states is None else states
 
@@ -245,7 +282,14 @@ def states_of(name: str, load: AbstractStateLoad, followed: Followed) -> tuple:
 def read_coordinate(
     system: System, motions: tuple[Motion, ...], name: str, followed: Followed
 ) -> CoordinateReading:
-    """The coordinate of a joint, or of a motor."""
+    """Position, speed and direction of the coordinate of a joint or motor.
+
+    Args:
+        system: prepared mechanism, as `prepare` returns it.
+        motions: motion of every link at one instant, in the order of `system.links`.
+        name: joint in the tree or outside it, or motor.
+        followed: angles over whole turns of joints outside the tree.
+    """
     if name in system.geared:
         geared = system.geared[name]
         joint = read_coordinate(system, motions, geared.joint, followed)
@@ -268,7 +312,16 @@ def as_pressed(
     time: Any,
     followed: Followed,
 ) -> AbstractStateLoad:
-    """A load as the force that presses it makes it at an instant."""
+    """A load whose dry friction depends on the force of another element, at that force.
+
+    Args:
+        system: prepared mechanism, as `prepare` returns it.
+        motions: motion of every link at one instant, in the order of `system.links`.
+        load: itself where no element presses it (`load.pressed_by`).
+        time: instant [s].
+            followed: what the state integrates beside the motion: whole-turn angles, load states,
+            flanks.
+    """
     name = load.pressed_by()
     if name is None:
         return load
@@ -278,8 +331,15 @@ def as_pressed(
 def load_rows(
     system: System, motions: tuple[Motion, ...], name: str, time: Any, followed: Followed
 ) -> tuple[CoordinateEffect, list[Row]]:
-    """What a load on coordinates or in a joint, or a coupling that is a force, does at an
-    instant."""
+    """Effect of a load on coordinates or in a joint, or of a force coupling, and its rows.
+
+    Args:
+        system: prepared mechanism, as `prepare` returns it.
+        motions: motion of every link at one instant, in the order of `system.links`.
+        name: of the load or coupling.
+        time: instant [s].
+        followed: whole-turn angles and the load's states.
+    """
     load = system.loads[name]
     states = states_of(name, load, followed)
     pressed = as_pressed(system, motions, load, time, followed)
@@ -300,8 +360,17 @@ def read_load(
     name: str,
     followed: Followed,
 ) -> tuple[tuple, tuple, tuple]:
-    """Positions and speeds that a load reads, and the directions of its forces; of a load in a
-    joint the joint's motion is the position, and the rest is empty."""
+    """Positions and speeds that a load reads, and the directions of its forces.
+
+    For a load in a joint, the joint's motion is the only position; speeds and directions are empty.
+
+    Args:
+        system: prepared mechanism, as `prepare` returns it.
+        motions: motion of every link at one instant, in the order of `system.links`.
+        load: says which coordinates it reads.
+        name: of this load.
+        followed: angles over whole turns of joints outside the tree.
+    """
     if isinstance(load, AbstractJointLoad):
         relative = kinematics.relative_motion(system.load_closures[name], motions)[2]
         return (JointMotion(*relative),), (), ()
@@ -313,8 +382,15 @@ def read_load(
 def force_of(
     system: System, motions: tuple[Motion, ...], name: str, time: Any, followed: Followed
 ) -> Any:
-    """What a load gives along its first coordinate, or a coupling that is no row transmits
-    [N m, N]."""
+    """Force [N m, N] of a load along its first coordinate, or that a flexible coupling transmits.
+
+    Args:
+        system: prepared mechanism, as `prepare` returns it.
+        motions: motion of every link at one instant, in the order of `system.links`.
+        name: of the load or coupling.
+        time: instant [s].
+        followed: whole-turn angles, load states and flanks.
+    """
     if name in system.transmissions:
         return -jnp.asarray(pressing_of(system, motions, followed)[name].torque, float)
     load = system.loads[name]
@@ -332,13 +408,21 @@ def transmitting(system: System) -> tuple[str, ...]:
 def effect_of(
     system: System, name: str, load: AbstractBodyLoad, motions: tuple[Motion, ...], time: Any
 ) -> Effect:
-    """What a load does on its markers."""
+    """Forces of a load on its markers, with the energies it stores and dissipates.
+
+    Args:
+        system: with the places of the load's markers.
+        name: of the load.
+        load: acts on markers of bodies.
+        motions: motion of every link, from which those of the markers follow.
+        time: instant [s].
+    """
     places = system.load_markers[name]
-    marker_motions = tuple(_marker_motion(link, marker, motions) for link, marker in places)
+    marker_motions = tuple(_motion_of_marker(link, marker, motions) for link, marker in places)
     return load.effect(time, marker_motions)
 
 
-def _marker_motion(link: int | None, marker: Pose, motions: tuple[Motion, ...]) -> MarkerMotion:
+def _motion_of_marker(link: int | None, marker: Pose, motions: tuple[Motion, ...]) -> MarkerMotion:
     """A load's marker in ground axes."""
     if link is None:
         return MarkerMotion(marker, sp.ZERO, sp.ZERO)
@@ -349,7 +433,7 @@ def _marker_motion(link: int | None, marker: Pose, motions: tuple[Motion, ...]) 
     )
 
 
-def _in_link(action: Action, motion: Motion, marker: Pose) -> Wrench:
+def _wrench_in_link(action: Action, motion: Motion, marker: Pose) -> Wrench:
     """An action on a marker as a wrench in the axes of its link."""
     rotation = motion.pose.after(marker).rotation
     local = Wrench(

@@ -28,8 +28,17 @@ SAME = 1e-9
 def exchanged(
     connections: Mapping[str, Connection], bodies: dict[str, Body], name: str, joint: Any
 ) -> dict[str, Connection]:
-    """The connections with another joint between the same markers. Raises `ValueError` with a
-    sentence for names that there are not and joints that do not fit."""
+    """The connections with another joint between the same two markers; a drive is kept.
+
+    Args:
+        connections: of the mechanism, by name.
+        bodies: by name; their inertias say in which space they move.
+        name: connection whose joint is replaced.
+        joint: ideal joint or joint with clearance.
+
+    Raises:
+        ValueError: there is no such connection, or the joint does not fit.
+    """
     check_name("joint", name, connections, " in this mechanism")
     target = "one of jaxclear.joint or jaxclear.clearance"
     expect(joint, (AbstractJoint, AbstractClearance), f'what is put in place of "{name}"', target)
@@ -56,27 +65,27 @@ def _check_fits(
     """That one of two joints constrains no more than the other does."""
     before = coordinate_joint(name, bodies, dict(connections))
     if before.rows is None or ideal.rows is None:
-        directions = [_directions(joint) for joint in (before, ideal)]
+        directions = [_twists_at_home(joint) for joint in (before, ideal)]
         if np.linalg.matrix_rank(np.concatenate(directions), SAME) == max(map(len, directions)):
             return
     else:
         rows, new_rows = set(before.rows), set(ideal.rows)
         if rows <= new_rows or new_rows <= rows:
             return
-    text = "" if ideal is joint else f", which without its play is a {_kind(ideal)}"
+    text = "" if ideal is joint else f", which without its play is a {_name_of_kind(ideal)}"
     raise ValueError(
         f'joint "{name}" is a {type(old).__name__}; a {type(joint).__name__}{text} moves in other '
         "directions and does not fit in its place."
     )
 
 
-def _directions(joint: AbstractJoint) -> np.ndarray:
+def _twists_at_home(joint: AbstractJoint) -> np.ndarray:
     """The twists of a joint's speeds at home."""
     columns = joint.columns(joint.home)
     return np.array([[*x.linear, *x.angular] for x in columns], float).reshape(-1, 6)
 
 
-def _kind(joint: AbstractJoint) -> str:
+def _name_of_kind(joint: AbstractJoint) -> str:
     return type(joint).__name__.removeprefix("Permanent")
 
 
@@ -88,9 +97,19 @@ def start_arguments(
     values: Mapping[str, Mapping[str, Any]],
     first: tuple[str, ...],
 ) -> tuple[dict[str, Any], dict[str, Any]]:
-    """(guess, speeds) with the coordinate of the exchanged joint where it stood, so that the start
-    stays as it was. Raises `ValueError` where a body in space is held by a joint that only acts in
-    a plane."""
+    """Guess and speeds such that the mechanism with the exchanged joint starts where it stood.
+
+    Args:
+        before: topology with the old joint.
+        connections: with the new joint.
+        bodies: by name.
+        name: connection whose joint was exchanged.
+        values: "start", "guess" and "speeds" of the mechanism, each by name.
+        first: connections that come first in the tree.
+
+    Raises:
+        ValueError: a body in space is held only by a joint that acts in a plane.
+    """
     guess, speeds = dict(values["guess"]), dict(values["speeds"])
     joint, after = connections[name].joint, grow(bodies, connections, first=first)
     if before.branch_of(name) is None or not isinstance(joint, AbstractClearance):

@@ -35,7 +35,14 @@ def along(row: JacobianRow, speeds: Any) -> Any:
 
 
 def link_motions(system: System, q: tuple, v: tuple, time: Any) -> tuple[Motion, ...]:
-    """Motion of every link at coordinates `q` and speeds `v` (tuples by link) and a time [s]."""
+    """Motion of every link; alike subtrees are traced once.
+
+    Args:
+        system: prepared mechanism, as `prepare` returns it.
+        q: coordinates, a tuple for each link (empty where driven).
+        v: speeds, a tuple for each link (empty where driven).
+        time: instant [s], from which driven joints take their motion.
+    """
     calls = [
         (*by_subtree(subtree, system.links, q, v), time) for subtree in system.topology.subtrees
     ]
@@ -46,8 +53,12 @@ def link_motions(system: System, q: tuple, v: tuple, time: Any) -> tuple[Motion,
 def link_accelerations(
     system: System, motions: tuple[Motion, ...], accelerations: tuple | None
 ) -> tuple[Twist, ...]:
-    """Spatial acceleration of every link for free `accelerations` by link (None: zero), with the
-    fictitious part that stands for gravity.
+    """Spatial acceleration of every link, in its axes, with the fictitious part for gravity.
+
+    Args:
+        system: prepared mechanism, as `prepare` returns it.
+        motions: motion of every link at one instant, in the order of `system.links`.
+        accelerations: free accelerations, a tuple for each link; None: zero.
     """
     ground = upward(system)
     out: list[Twist] = []
@@ -115,7 +126,13 @@ def ancestry(system: System, link: int | None) -> list[int]:
 def jacobian_columns(
     system: System, motions: tuple[Motion, ...], link: int | None
 ) -> dict[int, Twist]:
-    """Twist of a link for each free unit speed (by its index) that moves it, in the link's axes."""
+    """Twist of a link for each free unit speed that moves it, in the link's axes, by speed index.
+
+    Args:
+        system: prepared mechanism, as `prepare` returns it.
+        motions: motion of every link at one instant, in the order of `system.links`.
+        link: index; None: the ground, which no speed moves.
+    """
     columns: dict[int, Twist] = {}
     for index in reversed(ancestry(system, link)):
         columns = {
@@ -129,8 +146,15 @@ def jacobian_columns(
 def relative_jacobian(
     system: System, motions: tuple[Motion, ...], closure: Closure, pose: Pose, rates: Callable
 ) -> list[JacobianRow]:
-    """Jacobian rows (by speed index) of what `rates` draws, linearly, from the closure's `pose`,
-    relative velocity and spin.
+    """Jacobian rows, by speed index, of rates that are linear in a closure's relative motion.
+
+    Args:
+        system: prepared mechanism, as `prepare` returns it.
+        motions: motion of every link at one instant, in the order of `system.links`.
+        closure: pair of markers.
+        pose: the child's marker in the parent's.
+            rates: function of the pose, relative velocity [m/s] and spin [rad/s]: one rate for each
+            row.
     """
     rows: list[JacobianRow] = [{} for _ in rates(pose, sp.ZERO, sp.ZERO)]
     ends = ((closure.parent_link, closure.parent), (closure.child_link, closure.child))
@@ -148,8 +172,16 @@ def relative_jacobian(
 def relative_jacobians(
     system: System, motions: tuple[Motion, ...], closures: list[Closure], rates: list[tuple]
 ) -> list[list[JacobianRow]]:
-    """The same of many closures; `rates`: of each a function, what it takes first, and the pose;
-    alike ones are traced once."""
+    """Jacobian rows of many closures (`relative_jacobian`); alike ones are traced once.
+
+    Args:
+        system: prepared mechanism, as `prepare` returns it.
+        motions: motion of every link at one instant, in the order of `system.links`.
+        closures: pairs of markers.
+            rates: for each closure a function, its first arguments (a tuple), and the pose; the
+            function
+            also takes the relative velocity and spin.
+    """
     columns = [
         [jacobian_columns(system, motions, link) for link in (part.parent_link, part.child_link)]
         for part in closures
@@ -184,7 +216,13 @@ def relative_jacobians(
 
 
 def joint_twist(system: System, motions: tuple[Motion, ...], index: int) -> Twist:
-    """Twist of a link relative to its parent link, in the link's axes."""
+    """Twist of a link relative to its parent link, in the link's axes.
+
+    Args:
+        system: prepared mechanism, as `prepare` returns it.
+        motions: motion of every link at one instant, in the order of `system.links`.
+        index: of the link.
+    """
     path = ancestry(system, index)
     twist = motions[index].twist
     if len(path) == 1:

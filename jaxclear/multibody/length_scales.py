@@ -78,7 +78,7 @@ def shortest_part(system: System, closure: Closure) -> Scalar:
     }
     ends = (closure.parent_link, closure.parent), (closure.child_link, closure.child)
     squares, places = [], []
-    up = [_up_to_ground(link, inboard) for link, _ in ends]
+    up = [_iterate_to_ground(link, inboard) for link, _ in ends]
     common = next(link for link in up[0] if link in up[1])
     for (_, marker), links in zip(ends, up, strict=True):
         place = marker.translation
@@ -95,7 +95,7 @@ def shortest_part(system: System, closure: Closure) -> Scalar:
     return jnp.sqrt(jnp.minimum(shortest, arm * arm))
 
 
-def _up_to_ground(link: int | None, inboard: dict[int, int | None]) -> list[int | None]:
+def _iterate_to_ground(link: int | None, inboard: dict[int, int | None]) -> list[int | None]:
     """A link and those that carry it, the ground (None) last."""
     result = [link]
     while result[-1] is not None:

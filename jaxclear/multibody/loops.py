@@ -142,7 +142,13 @@ def marker_twist(twist: Twist | None, marker: Pose) -> Twist:
 
 
 def sides(closure: Closure, poses: tuple, twists: tuple) -> Sides:
-    """The closure's two markers from the poses and twists of all links."""
+    """Poses and twists of a closure's two markers.
+
+    Args:
+        closure: pair of markers.
+        poses: of all links in the ground.
+        twists: of all links, in their own axes.
+    """
 
     def of(link, values):
         return None if link is None else values[link]
@@ -165,8 +171,12 @@ def relative_pose(view: Sides) -> Pose:
 
 
 def relative_velocity(pose: Pose, parent: Twist, child: Twist) -> tuple[sp.Vec, sp.Vec]:
-    """Rate of the child's place and angular velocity, both seen from the moving parent's marker, in
-    its axes.
+    """Velocity [m/s] and spin [rad/s] of the child as seen from the moving parent, in its axes.
+
+    Args:
+        pose: the child's marker in the parent's.
+        parent: twist of the parent's marker, in its own axes.
+        child: twist of the child's marker, in its own axes.
     """
     part = sp.apply(pose.rotation, child.linear)
     carried = sp.plus(parent.linear, sp.cross(parent.angular, pose.translation))
@@ -195,7 +205,13 @@ def residuals(rows: tuple[str, ...], pose: Pose) -> tuple:
 
 
 def row_rates(rows: tuple[str, ...], pose: Pose, velocity: sp.Vec, spin: sp.Vec) -> tuple:
-    """Rate of each row for a relative velocity and spin as from `relative_velocity`."""
+    """Rate of each row [m/s, 1/s].
+
+    Args:
+        rows: names of lengths ("x") and of products of axes, by which the closure is tied.
+        pose: the child's marker in the parent's.
+        velocity, spin: relative motion in the parent's axes [m/s, rad/s] (`relative_velocity`).
+    """
     columns = sp.transpose(pose.rotation)
     return tuple(
         velocity[AXIS[row]]
@@ -208,8 +224,13 @@ def row_rates(rows: tuple[str, ...], pose: Pose, velocity: sp.Vec, spin: sp.Vec)
 def relative_acceleration(
     pose: Pose, view: Sides, parent: Twist, child: Twist
 ) -> tuple[sp.Vec, sp.Vec]:
-    """Rates of the relative velocity and spin (`relative_velocity`), in the moving parent's axes,
-    for given spatial accelerations of the two markers."""
+    """Rates of the relative velocity and spin, in the moving parent's axes [m/s2, rad/s2].
+
+    Args:
+        pose: the child's marker in the parent's.
+        view: twists of the two markers.
+        parent, child: spatial accelerations [m/s2, rad/s2] of the markers, in their own axes.
+    """
     velocity, _ = relative_velocity(pose, view.parent_twist, view.child_twist)
     turning = view.parent_twist.angular
 
@@ -232,8 +253,14 @@ def relative_acceleration(
 
 
 def row_accelerations(rows, pose: Pose, spin: sp.Vec, linear: sp.Vec, angular: sp.Vec) -> tuple:
-    """Second derivative of each row for a relative spin, and the rates of relative velocity and
-    spin."""
+    """Second derivative of each row [m/s2, 1/s2].
+
+    Args:
+        rows: names of lengths and of products of axes.
+        pose: the child's marker in the parent's.
+        spin: relative angular velocity [rad/s].
+        linear, angular: rates of the relative velocity and spin (`relative_acceleration`).
+    """
     columns = sp.transpose(pose.rotation)
     out: list[Any] = []
     for row in rows:

@@ -33,11 +33,18 @@ TIMES = (0.0, 0.137)
 
 
 def check_plane(topology: Topology, bodies: dict, connections: dict, loads: dict) -> None:
-    """Raises `ValueError` for a body in the plane of which something given lies outside it."""
+    """Raises `ValueError` for something given outside the plane in which its floating body moves.
+
+    Args:
+        topology: its floating bodies with an inertia about z only move in the plane.
+        bodies: by name, with mass centres.
+        connections: by name, with markers on these bodies.
+        loads: by name, with markers and directions.
+    """
     floating = {b.body for b in topology.branches if b.connection is None}
     planar = {body for body in floating if len(bodies[body].inertia) == 1}
     for body in sorted(planar):
-        for what in _out_of_plane(body, bodies[body], connections, loads):
+        for what in _list_out_of_plane(body, bodies[body], connections, loads):
             raise ValueError(
                 f'body "{body}" has an inertia about its z axis only and nothing but contacts to '
                 f"hold it, so it moves in the plane; but {what}. Give its inertia by 3 or 6 "
@@ -52,7 +59,7 @@ def across_the_plane(mechanism: Any) -> Iterator[str]:
     nothing: a centre of mass beside the plane of all joints, and gravity along z where all is drawn
     in one plane: an arm drawn in space may turn about upright axes, whose bearings carry it."""
     bodies, connections, loads = mechanism.bodies, mechanism.connections, mechanism.loads
-    if not all_planar(bodies) or not all(map(_keeps_z, connections.values())):
+    if not all_planar(bodies) or not all(map(_preserves_z, connections.values())):
         return
     markers = [marker for each in connections.values() for marker in (each.parent, each.child)]
     relative = any(_off(sp.vec3(marker.at)[2]) for marker in markers if marker.at is not None)
@@ -73,7 +80,7 @@ def across_the_plane(mechanism: Any) -> Iterator[str]:
             )
 
 
-def _keeps_z(connection: Connection) -> bool:
+def _preserves_z(connection: Connection) -> bool:
     """Whether the z axes of both bodies point one way, or opposite ways, at home, and the joint
     slides across them."""
     parent, child = (end.pose().rotation for end in (connection.parent, connection.child))
@@ -97,7 +104,7 @@ def _check_joint(name: str, connection: Connection, bodies: dict) -> None:
             raise ValueError(f'joint "{name}" {error}') from None
 
 
-def _out_of_plane(name: str, body: Body, connections: dict, loads: dict) -> Iterator[str]:
+def _list_out_of_plane(name: str, body: Body, connections: dict, loads: dict) -> Iterator[str]:
     """What is given of a body, and points or lies out of the plane."""
     if body.com is not None and _off(sp.vec3(body.com)[2]):
         yield "its centre of mass lies beside it"
@@ -109,10 +116,10 @@ def _out_of_plane(name: str, body: Body, connections: dict, loads: dict) -> Iter
         if isinstance(load, Gravity) and _off(sp.vec3(load.acceleration)[2]):
             yield f'load "{label}" pulls along z'
         if isinstance(load, AbstractBodyLoad):
-            yield from _pushed(name, label, load)
+            yield from _list_forces_out_of_plane(name, label, load)
 
 
-def _pushed(name: str, label: str, load: AbstractBodyLoad) -> Iterator[str]:
+def _list_forces_out_of_plane(name: str, label: str, load: AbstractBodyLoad) -> Iterator[str]:
     markers = load.markers()
     if name not in (marker.body for marker in markers):
         return
@@ -159,21 +166,21 @@ class UnusualMagnitude(UserWarning):
 
 def warn_of_magnitudes(mechanism: Any) -> None:
     """One warning with a sentence for each number that is beyond what mechanisms have."""
-    parts = [(what, part, list(numbers(part))) for what, part in _parts(mechanism)]
-    result = [*_unusual(parts), *_lengths(mechanism, parts), *_masses(mechanism)]
-    result += [*_starts(mechanism), *across_the_plane(mechanism)]
+    parts = [(what, part, list(numbers(part))) for what, part in _iterate_parts(mechanism)]
+    result = [*_list_unusual(parts), *_list_lengths(mechanism, parts), *_list_masses(mechanism)]
+    result += [*_list_starts(mechanism), *across_the_plane(mechanism)]
     if result:
         warn(" ".join(result), UnusualMagnitude)
 
 
-def _parts(mechanism: Any) -> Iterator[tuple[str, Any]]:
+def _iterate_parts(mechanism: Any) -> Iterator[tuple[str, Any]]:
     yield from ((f'body "{name}"', body) for name, body in mechanism.bodies.items())
     yield from ((f'joint "{n}"', joint.joint) for n, joint in mechanism.connections.items())
     yield from ((f'load "{name}"', load) for name, load in mechanism.loads.items())
     yield from ((f'coupling "{n}"', coupling) for n, coupling in mechanism.couplings.items())
 
 
-def _unusual(parts: list) -> Iterator[str]:
+def _list_unusual(parts: list) -> Iterator[str]:
     """Numbers beyond the range that their field calls usual."""
     for what, _, result in parts:
         for path, leaf, metadata in result:
@@ -189,10 +196,10 @@ def _unusual(parts: list) -> Iterator[str]:
                 )
 
 
-def _lengths(mechanism: Any, parts: list) -> Iterator[str]:
+def _list_lengths(mechanism: Any, parts: list) -> Iterator[str]:
     """Places, centres of mass, inertias and joints out of proportion."""
     places = {
-        f'joint "{name}" on body "{marker.body}"': _norm(marker.at)
+        f'joint "{name}" on body "{marker.body}"': _norm_of(marker.at)
         for name, connection in mechanism.connections.items()
         for marker in (connection.parent, connection.child)
         if marker.at is not None
@@ -205,7 +212,7 @@ def _lengths(mechanism: Any, parts: list) -> Iterator[str]:
         if place > FAR_PLACE * middle:
             yield f"{what} is {place:g} m away from its origin, others {middle:g} m: {IN_MM}."
     for name, body in mechanism.bodies.items():
-        away = 0.0 if body.com is None else _norm(body.com)
+        away = 0.0 if body.com is None else _norm_of(body.com)
         if away > LARGE_ARM * size:
             yield f'body "{name}" has its com {away:g} m away, no joint {size:g} m: {IN_MM}.'
         inertia = max((concrete(x) or 0.0 for x in body.inertia[:3]), default=0.0)
@@ -217,10 +224,10 @@ def _lengths(mechanism: Any, parts: list) -> Iterator[str]:
             )
     for what, part, result in parts:
         if not isinstance(part, Body):
-            yield from _of_part(what, part, result, size)
+            yield from _list_lengths_of_part(what, part, result, size)
 
 
-def _masses(mechanism: Any) -> Iterator[str]:
+def _list_masses(mechanism: Any) -> Iterator[str]:
     """Bodies that are lighter than any gas, or heavier than any metal, within their own length."""
     ends = [end for part in mechanism.connections.values() for end in (part.parent, part.child)]
     places = [(end.body, end.at) for end in ends] + [
@@ -228,7 +235,7 @@ def _masses(mechanism: Any) -> Iterator[str]:
     ]
     lengths = {name: 0.0 for name, _ in places}
     for name, at in places:
-        lengths[name] = max(lengths[name], 0.0 if at is None else _norm(at))
+        lengths[name] = max(lengths[name], 0.0 if at is None else _norm_of(at))
     for name, body in mechanism.bodies.items():
         length = lengths[name]
         mass, inertia = concrete(body.mass), [concrete(x) for x in body.inertia[:3]]
@@ -245,7 +252,7 @@ def _masses(mechanism: Any) -> Iterator[str]:
             )
 
 
-def _of_part(what: str, part: Any, result: list, size: float) -> Iterator[str]:
+def _list_lengths_of_part(what: str, part: Any, result: list, size: float) -> Iterator[str]:
     for path, leaf, metadata in result:
         if metadata.get("unit") != "m" or "." in path:
             continue
@@ -263,7 +270,7 @@ def _radius(joint: Any) -> float:
     return next((size for size in result if size is not None), math.inf)
 
 
-def _starts(mechanism: Any) -> Iterator[str]:
+def _list_starts(mechanism: Any) -> Iterator[str]:
     """Angles of many turns."""
     for what in ("start", "guess"):
         for name, values in getattr(mechanism, what).items():
@@ -276,7 +283,7 @@ def _starts(mechanism: Any) -> Iterator[str]:
                     yield f"{report}: is it in degrees? Angles are in rad."
 
 
-def _norm(vector: Any) -> float:
+def _norm_of(vector: Any) -> float:
     result = [concrete(x) for x in vector]
     values = [x for x in result if x is not None]
     return math.hypot(*values) if len(values) == len(result) else 0.0

@@ -63,7 +63,7 @@ class Parts(dict):
     `TypeError` with a sentence where it is to be changed.
     """
 
-    def _refused(self, *_: Any, **__: Any) -> NoReturn:
+    def _refuse_change(self, *_: Any, **__: Any) -> NoReturn:
         raise TypeError(
             "a built Mechanism is read-only: what is changed in it now would not be checked, and "
             "its motion would not follow. Build another: mechanism.with_joint(name, joint), "
@@ -73,8 +73,8 @@ class Parts(dict):
             "couplings=mechanism.couplings, **mechanism.given | {'start': ...})."
         )
 
-    __setitem__ = __delitem__ = __ior__ = _refused
-    update = setdefault = pop = popitem = clear = _refused
+    __setitem__ = __delitem__ = __ior__ = _refuse_change
+    update = setdefault = pop = popitem = clear = _refuse_change
 
     def __or__(self, other: Any) -> Any:
         return dict(self) | dict(other) if isinstance(other, Mapping) else NotImplemented
@@ -106,7 +106,7 @@ class Bodies(Parts):
         return [(name, self[name]) for name in self]
 
 
-def _register(kind: type[Parts]) -> None:
+def _register_pytree(kind: type[Parts]) -> None:
     """Make a dictionary of a mechanism a node of a pytree."""
 
     def unflatten(names: tuple[str, ...], parts: Iterable[Any]) -> Parts:
@@ -121,8 +121,8 @@ def _register(kind: type[Parts]) -> None:
     jax.tree_util.register_pytree_with_keys(kind, flatten_with_names, unflatten, flatten)
 
 
-_register(Parts)
-_register(Bodies)
+_register_pytree(Parts)
+_register_pytree(Bodies)
 
 
 AS_NEEDED = "as the integrator needs it: by Projection where its steps open them, else by Baumgarte"
@@ -137,16 +137,16 @@ def parts_as_drawn(mechanism: Any) -> dict[str, dict[str, Any]]:
 def in_words(mechanism: Any) -> str:
     """What it has in the first line; bodies, connections, loads, start and speeds, a line each."""
     parts = parts_as_drawn(mechanism) | {"couplings": mechanism.couplings}
-    counts = [_counted(part, names) for part, names in parts.items() if names]
+    counts = [_count_in_words(part, names) for part, names in parts.items() if names]
     lines = [f"Mechanism: {', '.join(counts)}"]
     for part, entry in (
         ("bodies", lambda name, body: _numbers(body)),
-        ("connections", lambda name, connection: _connection(mechanism, name, connection)),
-        ("loads", lambda name, load: _load(mechanism, load)),
-        ("couplings", lambda name, coupling: _coupling(mechanism, coupling)),
-        ("start", lambda name, values: _coordinates(mechanism, name, values, "")),
-        ("guess", lambda name, values: _coordinates(mechanism, name, values, "")),
-        ("speeds", lambda name, values: _coordinates(mechanism, name, values, "/s")),
+        ("connections", lambda name, connection: _describe_connection(mechanism, name, connection)),
+        ("loads", lambda name, load: _describe_load(mechanism, load)),
+        ("couplings", lambda name, coupling: _describe_coupling(mechanism, coupling)),
+        ("start", lambda name, values: _describe_coordinates(mechanism, name, values, "")),
+        ("guess", lambda name, values: _describe_coordinates(mechanism, name, values, "")),
+        ("speeds", lambda name, values: _describe_coordinates(mechanism, name, values, "/s")),
     ):
         if inputs := parts.get(part, getattr(mechanism, part)):
             width = max(map(len, inputs))
@@ -160,21 +160,21 @@ def in_words(mechanism: Any) -> str:
     return "\n".join(lines)
 
 
-def _counted(part: str, names: Any) -> str:
+def _count_in_words(part: str, names: Any) -> str:
     """How many there are of a part, such as "2 loads"."""
     one = {"bodies": "body"}.get(part, part.removesuffix("s"))
     return f"{len(names)} {one if len(names) == 1 else part}"
 
 
-def _load(mechanism: Any, load: Any) -> str:
+def _describe_load(mechanism: Any, load: Any) -> str:
     return f"{public_name(type(load))} {_numbers(load, moves_along(mechanism, load))}"
 
 
-def _coupling(mechanism: Any, coupling: Any) -> str:
+def _describe_coupling(mechanism: Any, coupling: Any) -> str:
     return f"{public_name(type(coupling))} {_numbers(coupling, moves_along(mechanism, coupling))}"
 
 
-def _connection(mechanism: Any, name: str, connection: Connection) -> str:
+def _describe_connection(mechanism: Any, name: str, connection: Connection) -> str:
     joint = connection.joint
     ends = f"{in_a_line(connection.parent)} to {in_a_line(connection.child)}"
     along = slides(mechanism, name)
@@ -191,7 +191,7 @@ def _numbers(part: Any, along: bool = False) -> str:
     return numbers_in_words(part, lambda metadata: unit_along(metadata, along))
 
 
-def _coordinates(mechanism: Any, name: str, values: tuple, rate: str) -> str:
+def _describe_coordinates(mechanism: Any, name: str, values: tuple, rate: str) -> str:
     units = coordinate_units(mechanism, name)
     if set(units) == {"1"} and len(values) in (1, 3):
         return f"{number_in_words(values)} rad{rate}"  # a rotation vector in place of a quaternion
@@ -212,7 +212,7 @@ def _guess(what: str, value: Any) -> tuple:
     return result
 
 
-def _by_name(what: str, values: Any, needed: bool = False) -> dict[str, Any]:
+def _as_dict(what: str, values: Any, needed: bool = False) -> dict[str, Any]:
     """A dictionary from names, each a text that says something; None is an empty one."""
     if values is None and not needed:
         return {}
@@ -289,13 +289,13 @@ class Mechanism(AbstractQuantified):
         stabilisation: Baumgarte | Projection | AsNeeded | str | None = "default",
     ):
         parts = (
-            _by_name("bodies", bodies, needed=True),
-            _by_name("connections", connections, needed=True),
-            _by_name("loads", loads),
-            _by_name("couplings", couplings),
+            _as_dict("bodies", bodies, needed=True),
+            _as_dict("connections", connections, needed=True),
+            _as_dict("loads", loads),
+            _as_dict("couplings", couplings),
         )
         self.start, self.speeds, self.guess = (
-            Parts({n: _guess(f'{what} of "{n}"', x) for n, x in _by_name(what, values).items()})
+            Parts({n: _guess(f'{what} of "{n}"', x) for n, x in _as_dict(what, values).items()})
             for what, values in (("start", start), ("speeds", speeds), ("guess", guess))
         )
         self.order = tuple(dict.fromkeys([*self.start, *self.speeds, *self.guess]))
@@ -303,7 +303,7 @@ class Mechanism(AbstractQuantified):
         parts = (Bodies(bodies), connections, loads, parts[3])
         validation.check_parts(*parts)
         validation.check_finite("the mechanism", self.start_arguments)
-        self.bodies, self.connections, self.loads, self.couplings = _unshared(parts)
+        self.bodies, self.connections, self.loads, self.couplings = _copy_shared_parts(parts)
         hinges = parts_of_beams(self.loads)
         self.topology = grow(self.bodies, self.connections, self.couplings, hinges)
         usual = isinstance(stabilisation, str) and stabilisation == "default"
@@ -470,7 +470,7 @@ class Mechanism(AbstractQuantified):
         )
 
 
-def _unshared(parts: tuple[dict[str, Any], ...]) -> tuple[Parts, ...]:
+def _copy_shared_parts(parts: tuple[dict[str, Any], ...]) -> tuple[Parts, ...]:
     """Parts whose numbers are each their own: of one bearing given to two joints a study may vary
     one clearance and leave the other."""
     view: set[int] = set()

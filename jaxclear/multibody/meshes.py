@@ -55,8 +55,13 @@ class Mesh(eqx.Module):
         return [a - b for a, b in zip(*angles, strict=True)]
 
     def counted(self, residual: Any, pose: Pose, motions: tuple[Motion, ...]) -> Any:
-        """The residual with whole turns; 0 where nothing tells them, so that speeds alone are
-        tied."""
+        """The residual with whole turns; 0, which ties only speeds, where nothing counts turns.
+
+        Args:
+            residual: of the coupling, from angles within one turn [m].
+            pose: the second marker in the first.
+            motions: motion of every link, with the coordinates that count turns.
+        """
         radii, rotated = self.coupling.radii(self.drawn), self._turn_angles(pose)
         if len(radii) > 1 and self.counts == (None,) * len(radii):
             return jnp.zeros_like(residual)
@@ -98,12 +103,12 @@ def meshing_parts(
     across = [bodies[1 - i] == part.inner for i, part in enumerate(parts)]
     pairs = list(zip(coupling.joints(), parts, reversed(across), strict=True))
     return tuple(
-        _other_side(connections[name], part) if is_carrier and not all(across) else part
+        _part_on_other_side(connections[name], part) if is_carrier and not all(across) else part
         for name, part, is_carrier in pairs
     )
 
 
-def _other_side(connection: Connection, part: Part) -> Part:
+def _part_on_other_side(connection: Connection, part: Part) -> Part:
     """The part against which a joint moves this one."""
     marker = connection.parent if part.is_child else connection.child
     return Part(marker, not part.is_child, part.marker.body)
@@ -128,9 +133,15 @@ def markers(coupling: AbstractBodyCoupling, connections: dict[str, Connection]) 
 def drawn_pose(
     coupling: AbstractBodyCoupling, bodies: dict[str, Body], connections: dict[str, Connection]
 ) -> Pose:
-    """The pose of the second marker in the first where all joints are at home."""
+    """Pose of the second marker in the first where all joints are at home.
+
+    Args:
+        coupling: of two bodies, whose markers it takes from its joints.
+        bodies: by name.
+        connections: by name.
+    """
     first, second = markers(coupling, connections)
-    places = _drawn(bodies, connections)
+    places = _poses_at_home(bodies, connections)
     poses = [places[marker.body].after(marker.pose()) for marker in (first, second)]
     return poses[0].inverse().after(poses[1])
 
@@ -143,21 +154,26 @@ MOVED, AS_FAR = 0.3, 1e-6
 def is_distance_free(
     coupling: AbstractBodyCoupling, bodies: dict[str, Body], connections: dict[str, Connection]
 ) -> bool:
-    """Whether two wheels come nearer or further as the other joints move: no body carries both.
-    Joints that have other than coordinates one by one are left where they are."""
+    """Whether the distance of two wheels' axes changes as other joints move: no body carries both.
+
+    Args:
+        coupling: of two wheels.
+        bodies: by name.
+        connections: by name; joints on groups are left at home.
+    """
     first, second = markers(coupling, connections)
     others = {n: c for n, c in connections.items() if n not in coupling.joints()}
     moved = {n: MOVED / (1 + i) for i, n in enumerate(others)}
     result = []
     for shifts in ({}, moved):
-        places = _drawn(bodies, connections, shifts)
+        places = _poses_at_home(bodies, connections, shifts)
         one, other = (places[marker.body].after(marker.pose()) for marker in (first, second))
         x, y, _ = one.inverse().after(other).translation
         result.append(float(jnp.hypot(jnp.asarray(x, float), jnp.asarray(y, float))))
     return abs(result[1] - result[0]) > AS_FAR * result[0]
 
 
-def _drawn(
+def _poses_at_home(
     bodies: dict[str, Body],
     connections: dict[str, Connection],
     shifts: Mapping[str, float] = MappingProxyType({}),
@@ -189,16 +205,23 @@ def mesh(
     bodies: dict[str, Body],
     connections: dict[str, Connection],
 ) -> Mesh:
-    """The reading of a coupling of bodies."""
+    """How the residual of a coupling of bodies is read: pose at home and what counts turns.
+
+    Args:
+        coupling: of two bodies.
+        topology: its tree says which coordinates count whole turns.
+        bodies: by name.
+        connections: by name.
+    """
     drawn = drawn_pose(coupling, bodies, connections)
     parts = list(meshing_parts(coupling, connections))
     if len(coupling.angles(drawn)) == 1:
         return Mesh(coupling, drawn, (_single(coupling, parts, topology, bodies, connections),))
-    depths = [_depth(topology, part.marker.body) for part in parts]
+    depths = [_depth_in_tree(topology, part.marker.body) for part in parts]
     deepest = [depth == max(depths) for depth in depths]
     together = parts[0].inner == parts[1].inner
     counts = tuple(
-        _count(name, part, topology, bodies, connections) if together or deep else None
+        _turn_count(name, part, topology, bodies, connections) if together or deep else None
         for name, part, deep in zip(coupling.joints(), parts, deepest, strict=True)
     )
     return Mesh(coupling, drawn, counts)
@@ -216,13 +239,13 @@ def _single(
     is_private = len(parts) == 1
     if not is_private and parts[0].inner != parts[1].inner:
         return None
-    result = _count(coupling.joints()[0], parts[0], topology, bodies, connections)
+    result = _turn_count(coupling.joints()[0], parts[0], topology, bodies, connections)
     if result is None:
         return None
     return eqx.tree_at(lambda count: count.sign, result, 1.0 if is_private else -result.sign)
 
 
-def _depth(topology: Topology, body: str) -> int:
+def _depth_in_tree(topology: Topology, body: str) -> int:
     """How many joints of the tree lead from the ground to a body."""
     inboard = {branch.body: branch.parent for branch in topology.branches}
     depth = 0
@@ -231,7 +254,7 @@ def _depth(topology: Topology, body: str) -> int:
     return depth
 
 
-def _count(
+def _turn_count(
     name: str, part: Part, topology: Topology, bodies: dict, connections: dict
 ) -> Count | None:
     """The coordinate that counts the turns of what a joint carries against its inner body."""
@@ -250,7 +273,7 @@ def _count(
     if topology.branches[link].connection is not None or len(bodies[body].inertia) > 1:
         return None
     # A body that floats in the plane turns about the ground's z axis.
-    drawn = _drawn(bodies, connections)[body]
+    drawn = _poses_at_home(bodies, connections)[body]
     home = jnp.arctan2(*(jnp.asarray(drawn.rotation[i][0], float) for i in (1, 0)))
     upward = drawn.after(part.marker.pose()).rotation[2][2]
     sign = jnp.where(jnp.asarray(upward, float) < 0, -1.0, 1.0)

@@ -16,7 +16,15 @@ from jaxclear.multibody.topology import motors
 def with_motors(
     mechanism: Mechanism, system: System, q: Float[Array, " q"], v: Float[Array, " v"], time: Any
 ) -> tuple[Array, Array]:
-    """Coordinates and speeds with those of motors that are not given."""
+    """Coordinates and speeds with those of motors that `start`, `guess` and `speeds` do not give.
+
+    Args:
+        mechanism: with what is given.
+        system: prepared mechanism, as `prepare` returns it.
+        q: coordinates of the tree, shape (coordinates,) [rad, m; 1 for quaternions].
+        v: free speeds, shape (speeds,) [rad/s, m/s].
+        time: start of the run [s].
+    """
     names, start_names = motors(mechanism.couplings), {*mechanism.start, *mechanism.guess}
     free: list[tuple[Any, str]] = [
         (system.topology.branch_of(motor), coupling)

@@ -48,7 +48,14 @@ class Near(NamedTuple):
 
 
 def blocks_of(problem: Ask, q: Array, time: Any, kinds: tuple[str, ...] = (LOOP,)) -> list[Block]:
-    """What is left to change in the coordinates for what is held of these kinds, in order."""
+    """Equations in the coordinates of the given kinds, in order of priority.
+
+    Args:
+        problem: equations of the start (`ask`).
+        q: coordinates of the tree, shape (coordinates,) [rad, m; 1 for quaternions].
+        time: instant [s] at which drives are evaluated.
+        kinds: kinds of equations, such as `LOOP` and `START`; default: loops only.
+    """
     return [block for block in position_blocks(problem, q, time) if block.kind in kinds]
 
 
@@ -60,8 +67,16 @@ def closed(
     kinds: tuple[str, ...] = (LOOP,),
     damped: bool = False,
 ) -> Array:
-    """Coordinates after so many steps towards what is held of these kinds; `damped`: Levenberg's,
-    which misses by least what cannot be met."""
+    """Coordinates after a fixed number of Newton steps towards the equations of these kinds.
+
+    Args:
+        problem: equations of the start (`ask`).
+        q: coordinates at which the steps begin, shape (coordinates,).
+        time: instant [s] at which drives are evaluated.
+        count: number of steps.
+        kinds: kinds of equations that are met; default: loops only.
+        damped: whether steps are Levenberg's, which least violate what cannot be met.
+    """
     if not blocks_of(problem, q, time, kinds):
         return q
     step = settled if damped else nearer
@@ -70,33 +85,59 @@ def closed(
 
 
 def shortened(step: Array, scales: Array, longest: float = LONGEST_STEP) -> Array:
-    """A step of the free speeds, no longer than this [rad, longest arms]. The steps that decide are
-    short, so the shortening is not differentiated: the derivative of a largest entry is 0 / 0 where
-    XLA works the entries out twice and rounds them differently."""
+    """A step scaled down to a largest length.
+
+    The scaling is not differentiated: steps that decide are short, and the derivative of a largest
+    entry
+    is 0 / 0 where XLA computes entries twice with different rounding.
+
+    Args:
+        step: of the free speeds, shape (speeds,).
+        scales: what counts as much as a radian, for each speed [1, m].
+        longest: largest entry of the scaled step [rad, longest arms].
+    """
     size = jnp.max(jnp.abs(step / scales), initial=longest)
     return step * jax.lax.stop_gradient(longest / size)
 
 
 def nearer(problem: Ask, q: Array, blocks: list[Block], near: Near | None = None) -> Array:
-    """Coordinates after one Gauss-Newton step that changes what is left of the blocks' equations to
-    0, and in what these leave free lessens what is left of those that are `near`: the least such
-    step, and `LONGEST_STEP` at most."""
+    """Coordinates after one Gauss-Newton step, at most `LONGEST_STEP` long.
+
+    Args:
+        problem: equations of the start (`ask`).
+        q: coordinates of the tree, shape (coordinates,) [rad, m; 1 for quaternions].
+        blocks: equations whose linearisation is solved exactly, by the least step.
+        near: equations that the step reduces as far as the blocks leave freedom; None: none.
+    """
     step = -least(problem, blocks, near).change
     return retract(problem.system, q, shortened(step, speed_scales(problem)))
 
 
 def settled(problem: Ask, q: Array, blocks: list[Block]) -> Array:
-    """Coordinates after one step that lessens what is left of equations some of which may follow
-    from others, or contradict them."""
+    """Coordinates after one damped step; equations may follow from or contradict each other.
+
+    Args:
+        problem: equations of the start (`ask`).
+        q: coordinates of the tree, shape (coordinates,) [rad, m; 1 for quaternions].
+        blocks: equations whose residual is reduced.
+    """
     scales = speed_scales(problem)
     step = scales * levenberg(*scaled(problem, blocks))
     return retract(problem.system, q, shortened(step, scales))
 
 
 def levenberg(rows: Array, rest: Array, least_damping: float = LEAST_DAMPING) -> Array:
-    """The step that lessens the residual `rest`, damped by its square, which closes in
-    quadratically also where the rank of the rows falls (Yamashita & Fukushima 2001, Computing
-    Suppl. 15, 239, doi:10.1007/978-3-7091-6217-0_18)."""
+    """The step that reduces a residual, damped by its square.
+
+    It converges quadratically also where the rank of the rows falls.
+
+    Args:
+        rows: Jacobian, shape (equations, unknowns), scaled.
+        rest: residual, shape (equations,).
+        least_damping: added to the damping, in units of the squared residual.
+
+    Source: Yamashita & Fukushima 2001, Computing Suppl. 15, 239, doi:10.1007/978-3-7091-6217-0_18.
+    """
     damping = DAMPING * jnp.sum(rest * rest) + least_damping
     damped = rows @ rows.T + damping * jnp.eye(len(rest))
     factors = factorisation.factor([list(row) for row in damped])
@@ -104,8 +145,13 @@ def levenberg(rows: Array, rest: Array, least_damping: float = LEAST_DAMPING) ->
 
 
 def least(problem: Ask, blocks: list[Block], near: Near | None = None) -> Change:
-    """The least change of the free speeds that meets the equations of the blocks, loops first, and
-    then nearly those that are `near`."""
+    """The least change of the free speeds that meets the blocks, and nearly `near`.
+
+    Args:
+        problem: with the scales of the speeds and the rank of redundant loops.
+        blocks: equations to be met exactly.
+        near: equations to be met in the sense of weighted least squares; None: none.
+    """
     scales, redundancy = speed_scales(problem), problem.system.topology.redundancy
     loops = [block for block in blocks if block.kind == LOOP]
     rest = [block for block in blocks if block.kind != LOOP]

@@ -65,7 +65,7 @@ def closing_rows(joint: AbstractJoint) -> tuple[str, ...]:
         return joint.rows
     leaves, form = jax.tree.flatten(joint)
     with jax.ensure_compile_time_eval():
-        return _chosen(form, tuple(x.shape if eqx.is_array(x) else x for x in leaves))
+        return _choose_directions(form, tuple(x.shape if eqx.is_array(x) else x for x in leaves))
 
 
 # Ways in which a pose may depart from a motion, in the order of a twist.
@@ -75,7 +75,7 @@ NOTHING_NEW = 1e-9
 
 
 @functools.cache
-def _chosen(form: Any, leaves: tuple) -> tuple[str, ...]:
+def _choose_directions(form: Any, leaves: tuple) -> tuple[str, ...]:
     from scipy.linalg import qr
 
     # No two numbers alike, and none 0 or 1.
@@ -169,14 +169,14 @@ class Gradient(NamedTuple):
 
 def gradients(reading: Any, pose: Pose) -> tuple[tuple, list[Gradient]]:
     """(residuals, gradient of each) of what reads a pose."""
-    entries = _entries(pose)
+    entries = _entries_of_pose(pose)
     free = [i for i, x in enumerate(entries) if not isinstance(x, int)]
-    read, kinds = _restricted(reading, entries, free)
+    read, kinds = _restrict_to_entries(reading, entries, free)
     if not free:
         return tuple(kinds), [Gradient((sp.ZERO,) * 3, sp.ZERO) for _ in kinds]
     values, pull = jax.vjp(read, *(entries[i] for i in free))
     moving = [i for i, structural in enumerate(kinds) if structural is None]
-    depend = _dependence(read, [entries[i] for i in free])
+    depend = _dependence_of_results(read, [entries[i] for i in free])
     result: list[Gradient] = [Gradient((sp.ZERO,) * 3, sp.ZERO) for _ in kinds]
     for k, i in enumerate(moving):
         slopes: list[Any] = [0] * len(entries)
@@ -190,7 +190,13 @@ def gradients(reading: Any, pose: Pose) -> tuple[tuple, list[Gradient]]:
 
 
 def rate(gradient: Gradient, pose: Pose, velocity: sp.Vec, spin: sp.Vec) -> Any:
-    """Rate of a row for a relative velocity and spin."""
+    """Rate of a row for a relative velocity and spin.
+
+    Args:
+        gradient: of the row by the pose.
+        pose: the child's marker in the parent's.
+        velocity, spin: of the child as seen from the parent, in its axes [m/s, rad/s].
+    """
     force, torque = gradient.wrench(pose)
     return sp.add(sp.dot(force, velocity), sp.dot(torque, spin))
 
@@ -202,18 +208,25 @@ def accelerations(
     motion: tuple[sp.Vec, sp.Vec],
     second: tuple[sp.Vec, sp.Vec],
 ) -> tuple:
-    """Second derivative of each row, for the relative velocity and spin of the `motion` and their
-    rates, all as seen from the moving parent's marker."""
+    """Second derivative of each row, by differentiating its reading twice along the motion.
+
+    Args:
+        reading: function of the pose that gives the residuals.
+        pose: the child's marker in the parent's.
+        slopes: gradients of all rows at this pose.
+        motion: relative velocity and spin, as seen from the moving parent [m/s, rad/s].
+        second: rates of the two [m/s2, rad/s2].
+    """
     (velocity, spin), (linear, angular) = motion, second
     swings = [sp.cross(spin, axis) for axis in sp.transpose(pose.rotation)]
     rates = (*[x for row in sp.transpose(tuple(swings)) for x in row], *velocity)
-    entries = _entries(pose)
+    entries = _entries_of_pose(pose)
     moving = [
         i for i, x in enumerate(entries) if not isinstance(x, int) and not sp.is_zero(rates[i])
     ]
     bends: list[Any] = [0] * len(slopes)
     if moving:
-        read, kinds = _restricted(reading, entries, moving)
+        read, kinds = _restrict_to_entries(reading, entries, moving)
         along = tuple(jnp.asarray(rates[i], float) for i in moving)
         single = lambda *part: jax.jvp(read, part, along)[1]
         twice = iter(jax.jvp(single, tuple(entries[i] for i in moving), along)[1])
@@ -225,11 +238,11 @@ def accelerations(
     return tuple(out)
 
 
-def _entries(pose: Pose) -> tuple:
+def _entries_of_pose(pose: Pose) -> tuple:
     return (*[x for row in pose.rotation for x in row], *pose.translation)
 
 
-def _restricted(reading: Any, entries: tuple, free: list[int]) -> tuple[Callable, list]:
+def _restrict_to_entries(reading: Any, entries: tuple, free: list[int]) -> tuple[Callable, list]:
     """(the residuals that are no structural numbers as a function of the free entries of a pose,
     for each residual the structural number that it is, None for none)."""
     kinds: list[Any] = []
@@ -247,7 +260,7 @@ def _restricted(reading: Any, entries: tuple, free: list[int]) -> tuple[Callable
     return read, kinds
 
 
-def _dependence(read: Callable, values: list) -> list[set[int]]:
+def _dependence_of_results(read: Callable, values: list) -> list[set[int]]:
     """For each result of a function the numbers of the arguments on which it depends."""
     program = jax.make_jaxpr(read)(*values).jaxpr
     on: dict[Any, set[int]] = {variable: {i} for i, variable in enumerate(program.invars)}

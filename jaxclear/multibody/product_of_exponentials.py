@@ -132,14 +132,20 @@ class Chain(eqx.Module):
 
 
 def chain(mechanism: Mechanism, base: str, tip: Marker, through: tuple[str, ...] = ()) -> Chain:
-    """The serial chain from a base ("ground" or a body) to a tip.
+    """The serial chain of connections from a base to a tip.
 
-    Several ways lead there where the mechanism closes a loop: `through` names connections until one
-    way is left. Raises `ValueError` with a sentence.
+    Args:
+        mechanism: which may close loops.
+        base: "ground" or name of a body.
+        tip: marker on the last body.
+        through: names of connections on the path, where several lead to the tip.
+
+    Raises:
+        ValueError: no path, or more than one, leads there.
     """
     tip = on_piece(mechanism.bodies, tip)
     _check(mechanism, base, tip, through)
-    paths = _paths(mechanism, base, tip.body, ())
+    paths = _iterate_paths(mechanism, base, tip.body, ())
     result = list(islice((path for path in paths if {*through} <= {name for name, _ in path}), 2))
     if not result:
         by = f" through {', '.join(map(repr, through))}" if through else ""
@@ -165,24 +171,24 @@ def _check(mechanism: Mechanism, base: str, tip: Marker, through: tuple[str, ...
             raise ValueError(unknown("joint to go through", name, mechanism.connections))
 
 
-def _paths(
+def _iterate_paths(
     mechanism: Mechanism, here: str, end: str, path: tuple
 ) -> Iterator[tuple[tuple[str, bool], ...]]:
     """Every way between two bodies that meets no body twice, as (connection, forward)."""
     if here == end:
         yield path
         return
-    peaks = {here} | {body for name, _ in path for body in _ends(mechanism, name)}
+    peaks = {here} | {body for name, _ in path for body in _bodies_joined(mechanism, name)}
     for name in mechanism.connections:
-        ends = _ends(mechanism, name)
+        ends = _bodies_joined(mechanism, name)
         if here in ends:
             forward = ends[0] == here
             beyond = ends[forward]
             if beyond not in peaks:
-                yield from _paths(mechanism, beyond, end, (*path, (name, forward)))
+                yield from _iterate_paths(mechanism, beyond, end, (*path, (name, forward)))
 
 
-def _ends(mechanism: Mechanism, name: str) -> tuple[str, str]:
+def _bodies_joined(mechanism: Mechanism, name: str) -> tuple[str, str]:
     connection = mechanism.connections[name]
     return (connection.parent.body, connection.child.body)
 
@@ -202,7 +208,7 @@ def _joint(mechanism: Mechanism, name: str, forward: bool) -> ChainJoint:
         )
     markers = (from_pose(connection.parent.pose()), from_pose(connection.child.pose()))
     return ChainJoint(
-        name, forward, ideal, permanent, tuple(rows), _ends(mechanism, name), *markers
+        name, forward, ideal, permanent, tuple(rows), _bodies_joined(mechanism, name), *markers
     )
 
 
@@ -312,7 +318,7 @@ def tips_from_joints(
     return view[::-1]
 
 
-def _carried(chain: Chain, tips: list[Transform], twists: Any) -> tuple:
+def _carry_to_tip(chain: Chain, tips: list[Transform], twists: Any) -> tuple:
     """Twists of each joint's child against its parent, carried to the tip; against the direction of
     travel they count the other way."""
     signs = [1.0 if joint.forward else -1.0 for joint in chain.joints]
@@ -337,9 +343,16 @@ def tip_error(
 ) -> TipError:
     """Exact and first-order error of the tip; pure, maps and differentiates.
 
-    Without `nominal`, against the same chain at the same motions without deviations. With it,
-    against another setting of a chain of the same connections: the first order is taken about the
-    nominal one, and differences in fixed dimensions count in the exact error only.
+    Without `nominal`, against the same chain at the same motions without deviations.
+
+    Args:
+        chain: as it is.
+        actual: motions and deviations of its joints.
+            nominal_chain: chain of the same connections whose fixed dimensions may differ, which
+            counts in
+            the exact error only; None: the same.
+            nominal: configuration about which the first order is taken; None: `actual` without
+            deviations.
     """
     start_chain = chain if nominal_chain is None else nominal_chain
     start = actual.ideal() if nominal is None else nominal
@@ -364,9 +377,9 @@ def tip_error(
     }
     return TipError(
         logarithms([displacement])[0],
-        _carried(start_chain, parents, changes),
-        {play: _carried(start_chain, parents, twists) for play, twists in plays.items()},
-        _carried(start_chain, [child for _, child in tips], turns),
+        _carry_to_tip(start_chain, parents, changes),
+        {play: _carry_to_tip(start_chain, parents, twists) for play, twists in plays.items()},
+        _carry_to_tip(start_chain, [child for _, child in tips], turns),
         jnp.arctan2(safe_sqrt(x * x + y * y), z),
         safe_sqrt(jnp.sum(away * away)),
     )

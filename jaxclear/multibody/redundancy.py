@@ -79,7 +79,7 @@ class Place(NamedTuple):
 def is_suspect(mechanism: Mechanism, start: Start) -> bool:
     """Whether rows may be redundant: no motion changes some, or some follow from the others at the
     start."""
-    fixed = _counts_fixed(mechanism) and any(
+    fixed = _counts_fixed_rows(mechanism) and any(
         len(start.residuals[name]) > len(start.jacobians[name])
         or (
             len(_fixed(mechanism, name)) > len(start.jacobians[name]) and _in_space(mechanism, name)
@@ -95,7 +95,7 @@ def depend(start: Start) -> bool:
     return rank_of(jacobian) < len(jacobian)
 
 
-def _counts_fixed(mechanism: Mechanism) -> bool:
+def _counts_fixed_rows(mechanism: Mechanism) -> bool:
     """Whether rows that no motion changes count: where joints always touch, those of the tree carry
     what they would."""
     joints = (connection.joint for connection in mechanism.connections.values())
@@ -125,9 +125,14 @@ def _in_space(mechanism: Mechanism, loop: str) -> bool:
 
 
 def redundancy(mechanism: Mechanism, start: Start, time: Any) -> Redundancy | None:
-    """What is redundant in the loops of a mechanism with numbers; None where rows depend on each
-    other at this position only."""
-    rows = eqx.filter_eval_shape(_rows, mechanism, start.coordinates, time)
+    """Which rows of the loops are redundant; None where rows depend at this position only.
+
+    Args:
+        mechanism: with numbers.
+        start: consistent coordinates, at which ranks are determined.
+        time: instant [s] of the drives.
+    """
+    rows = eqx.filter_eval_shape(_list_rows, mechanism, start.coordinates, time)
     moving = [row for row in rows if not row.fixed]
     # What is in equilibrium with itself passes through all joints of its loop.
     acting = {name for row in rows if row.fixed for name in row.around}
@@ -152,7 +157,7 @@ def searched(redundancy: Redundancy | None, start: Start) -> Redundancy:
 def _most_of_rank(mechanism: Mechanism, rows: tuple[Row, ...], start: Start, time: Any) -> Place:
     """The start, or the position near it in which the rows are of a larger rank."""
     scales = np.asarray(speed_scales(ask(mechanism, False)))
-    best = _place(mechanism, rows, start.coordinates, time)
+    best = _place_of(mechanism, rows, start.coordinates, time)
     arm = float(best.arm)
     free = np.linalg.svd(best.jacobian)[2][best.rank :]
     random = np.random.default_rng(0)
@@ -164,7 +169,7 @@ def _most_of_rank(mechanism: Mechanism, rows: tuple[Row, ...], start: Start, tim
             q, rest = _moved(mechanism, start.coordinates, jnp.asarray(step), time + later)
             far = np.max(np.abs(np.asarray(q - start.coordinates)), initial=0.0)
             if float(rest) <= CLOSED * max(arm, 1.0) and far <= NEAR * max(arm, 1.0):
-                place = _place(mechanism, rows, q, time + later)
+                place = _place_of(mechanism, rows, q, time + later)
                 best = place if place.rank > best.rank else best
     return best
 
@@ -183,7 +188,7 @@ def _moved(mechanism: Mechanism, q: Array, step: Array, time: Any) -> tuple[Arra
 
 
 @compiled_quickly
-def _place(mechanism: Mechanism, rows: tuple[Row, ...], q: Array, time: Any) -> Place:
+def _place_of(mechanism: Mechanism, rows: tuple[Row, ...], q: Array, time: Any) -> Place:
     """Which rows of loops depend on each other at these coordinates."""
     problem = ask(mechanism, False)
     system = problem.system
@@ -226,10 +231,10 @@ def is_new(jacobian: np.ndarray) -> Iterator[bool]:
     return (rank > before for rank, before in zip(ranks, [0, *ranks], strict=False))
 
 
-def _rows(mechanism: Mechanism, q: Array, time: Any) -> tuple[Row, ...]:
+def _list_rows(mechanism: Mechanism, q: Array, time: Any) -> tuple[Row, ...]:
     """The rows of all loops, those that no motion changes included where they say something or may
     be loaded."""
-    problem, counts_fixed, rows = ask(mechanism, False), _counts_fixed(mechanism), []
+    problem, counts_fixed, rows = ask(mechanism, False), _counts_fixed_rows(mechanism), []
     system, motions = problem.system, _motions(problem, q, time)
     loops = zip(system.topology.loops, system.closures, strict=True)
     for k, (joint, closure) in enumerate(loops):

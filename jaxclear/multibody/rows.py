@@ -72,7 +72,7 @@ class OnClosure(NamedTuple):
     def unit_rate(self, motions: tuple[Motion, ...]) -> Any:
         """Power of the wrench."""
         _, velocity, spin = kinematics.relative_motion(self.closure, motions)[2]
-        return _power(self.wrench, velocity, spin)
+        return _power_of_wrench(self.wrench, velocity, spin)
 
 
 class Direction(NamedTuple):
@@ -100,7 +100,7 @@ class Direction(NamedTuple):
         for place in self.places:
             entries: JacobianRow = {}
             if isinstance(place, OnClosure):
-                power = lambda _, *moving, on=place.wrench: (_power(on, *moving),)
+                power = lambda _, *moving, on=place.wrench: (_power_of_wrench(on, *moving),)
                 ends = place.closure, place.pose
                 (entries,) = kinematics.relative_jacobian(system, motions, *ends, power)
             elif motions[place.link].columns:
@@ -111,7 +111,7 @@ class Direction(NamedTuple):
         return row
 
 
-def _power(wrench: Wrench, velocity: sp.Vec, spin: sp.Vec) -> Any:
+def _power_of_wrench(wrench: Wrench, velocity: sp.Vec, spin: sp.Vec) -> Any:
     return sp.add(sp.dot(wrench.force, velocity), sp.dot(wrench.torque, spin))
 
 
@@ -133,7 +133,15 @@ class Row(NamedTuple):
 
 
 def row_of_wrench(owner: str, closure: Closure, pose: Pose, wrench: Wrench, joint: str) -> Row:
-    """A wrench in a joint, on its child about its marker, in the parent marker's axes."""
+    """A wrench in a joint, as the force of an element.
+
+    Args:
+        owner: element that gives the wrench.
+        closure: markers of the joint.
+        pose: the child's marker in the parent's.
+        wrench: on the child about its marker, in the parent marker's axes [N, N m].
+        joint: connection between these markers.
+    """
     return Row(owner, Direction((OnClosure(closure, pose, wrench, joint),)), 1)
 
 
@@ -141,14 +149,14 @@ def add_wrenches(wrenches: list[Wrench], rows: Iterable[Row]) -> None:
     """Adds what rows do between markers to the wrenches on the links."""
     places, calls = [], []
     acting: list[list[Wrench]] = [[] for _ in wrenches]
-    for row, place in _on_closures(rows):
+    for row, place in _iterate_on_closures(rows):
         closure = place.closure
         ends = (
             None if closure.parent_link is None else closure.parent,
             None if closure.child_link is None else closure.child,
         )
         places.append((closure.child_link, closure.parent_link))
-        calls.append((*ends, place.pose, *_sized(row, place)))
+        calls.append((*ends, place.pose, *_scaled_wrench(row, place)))
     for links, ends in zip(places, map_many(_action_and_reaction, calls), strict=True):
         for link, wrench in zip(links, ends, strict=True):
             if link is not None:
@@ -160,7 +168,7 @@ def add_wrenches(wrenches: list[Wrench], rows: Iterable[Row]) -> None:
         wrenches[i] = wrench
 
 
-def _on_closures(rows: Iterable[Row]) -> Iterator[tuple[Row, OnClosure]]:
+def _iterate_on_closures(rows: Iterable[Row]) -> Iterator[tuple[Row, OnClosure]]:
     for row in rows:
         for place in row.direction.places:
             if isinstance(place, OnClosure):
@@ -169,7 +177,7 @@ def _on_closures(rows: Iterable[Row]) -> Iterator[tuple[Row, OnClosure]]:
 
 def wrench_in_joint(rows: Iterable[Row], joint: str | None) -> Wrench:
     """The sum of rows in a joint, on its child about its marker, in the parent marker's axes."""
-    pairs = (_sized(*pair) for pair in _on_closures(rows) if pair[1].joint == joint)
+    pairs = (_scaled_wrench(*pair) for pair in _iterate_on_closures(rows) if pair[1].joint == joint)
     return functools.reduce(sum_wrenches, pairs, NOTHING)
 
 
@@ -184,7 +192,7 @@ def forces_on_drives(motions: tuple[Motion, ...], rows: Iterable[Row]) -> dict[i
     return sums
 
 
-def _sized(row: Row, place: OnClosure) -> Wrench:
+def _scaled_wrench(row: Row, place: OnClosure) -> Wrench:
     size = sp.mul(row.force, place.factor)
     return Wrench(*(sp.scale(size, part) for part in place.wrench))
 

@@ -34,8 +34,14 @@ NEARLY = 0.05
 
 
 def check_flat_bodies(mechanism: Mechanism, system: System, motions: tuple) -> None:
-    """A body whose inertia is known about z only must turn about z only; what does not turn is
-    known while tracing.
+    """Raises `ValueError` for a body with an inertia about z only that turns about other axes.
+
+    Which spins are structurally zero is known while tracing.
+
+    Args:
+        mechanism: with the inertias of its bodies.
+        system: with the frames of the links.
+        motions: motion of every link at the start.
     """
     for branch, link, motion in zip(system.topology.branches, system.links, motions, strict=True):
         if branch.motor:
@@ -59,17 +65,17 @@ def verdicts(mechanism: Mechanism, start: Start) -> Iterator[tuple[Any, str, Any
     for name in mechanism.topology.loops:
         yield _open_loop, name, _most(start.residuals[name]) <= CLOSED
     for name in mechanism.topology.loops:
-        yield _dead_point, name, _most(start.rates[name]) <= CLOSED * fast
+        yield _dead_point_sentence, name, _most(start.rates[name]) <= CLOSED * fast
     for name, missed in start.missed.items():
-        yield _missed_coordinate, name, _most(missed) <= EXACT
+        yield _missed_coordinate_sentence, name, _most(missed) <= EXACT
     for name, missed in start.missed_speeds.items():
-        yield _missed_speed, name, _most(missed) <= EXACT * fast
+        yield _missed_speed_sentence, name, _most(missed) <= EXACT * fast
     for name in mechanism.topology.clearances:
         # What is given may hold a journal elsewhere, but not deep in the wall.
         if name in start.residuals and not mechanism.start:
-            yield _eccentric, name, _most(start.residuals[name]) <= CLOSED
+            yield _eccentric_sentence, name, _most(start.residuals[name]) <= CLOSED
     for name, (depth, allowed) in start.depths.items():
-        yield _deep, name, depth <= allowed
+        yield _overlap_sentence, name, depth <= allowed
 
 
 def open_by(start: Start, allowed: float = CLOSED) -> float:
@@ -127,7 +133,7 @@ def _open_loop(mechanism: Mechanism, start: Start, name: str) -> str:
     )
 
 
-def _dead_point(mechanism: Mechanism, start: Start, name: str) -> str:
+def _dead_point_sentence(mechanism: Mechanism, start: Start, name: str) -> str:
     loop, drives = _loop(mechanism, name), ", ".join(map(repr, mechanism.driven))
     remain = f"{_most(start.rates[name]):.3g} m/s (or rad/s) remain"
     if not np.any(start.jacobians[name]):
@@ -141,7 +147,7 @@ def _dead_point(mechanism: Mechanism, start: Start, name: str) -> str:
     )
 
 
-def _eccentric(mechanism: Mechanism, start: Start, name: str) -> str:
+def _eccentric_sentence(mechanism: Mechanism, start: Start, name: str) -> str:
     return (
         f'the journal of joint "{name}" cannot be brought to the middle of its bearing: '
         f"{_most(start.residuals[name]):.3g} m (or rad) remain. Check the lengths, give a better "
@@ -149,7 +155,7 @@ def _eccentric(mechanism: Mechanism, start: Start, name: str) -> str:
     )
 
 
-def _deep(mechanism: Mechanism, start: Start, name: str) -> str:
+def _overlap_sentence(mechanism: Mechanism, start: Start, name: str) -> str:
     depth, allowed = map(float, start.depths[name])
     return (
         f'the parts of joint "{name}" start {depth:.3g} m deep in each other; more than '
@@ -159,7 +165,7 @@ def _deep(mechanism: Mechanism, start: Start, name: str) -> str:
     )
 
 
-def _missed_coordinate(mechanism: Mechanism, start: Start, name: str) -> str:
+def _missed_coordinate_sentence(mechanism: Mechanism, start: Start, name: str) -> str:
     joint = coordinate_joint(name, mechanism.bodies, mechanism.connections)
     values, missed = mechanism.start[name], start.missed[name]
     entry = f'"{name}": {_in_words(values)}'
@@ -172,7 +178,7 @@ def _missed_coordinate(mechanism: Mechanism, start: Start, name: str) -> str:
         )
     where = f"miss it by {_most(missed):.3g} (rad, or longest arms)"
     if len(missed) == 1:
-        place = float(values[0]) + float(missed[0]) * _measure(mechanism, joint)
+        place = float(values[0]) + float(missed[0]) * _scale_of_joint(mechanism, joint)
         where = f"put it at {place:.6g} {joint.units[0]}"
     return (
         f"start={{{entry}}} is more than the mechanism leaves free: {_holding(mechanism, name)} "
@@ -181,7 +187,7 @@ def _missed_coordinate(mechanism: Mechanism, start: Start, name: str) -> str:
     )
 
 
-def _missed_speed(mechanism: Mechanism, start: Start, name: str) -> str:
+def _missed_speed_sentence(mechanism: Mechanism, start: Start, name: str) -> str:
     missed = start.missed_speeds[name]
     return (
         f'speeds={{"{name}": {_in_words(mechanism.speeds[name])}}} is more than the mechanism '
@@ -205,7 +211,7 @@ def _in_words(values: tuple) -> str:
     return numbers[0] if len(numbers) == 1 else f"({', '.join(numbers)})"
 
 
-def _measure(mechanism: Mechanism, joint: Any) -> float:
+def _scale_of_joint(mechanism: Mechanism, joint: Any) -> float:
     return float(ask(mechanism, False).arm) if joint.units[0] == "m" else 1.0
 
 
@@ -214,7 +220,7 @@ def determined(mechanism: Mechanism, start: Start) -> tuple[str, ...]:
     so do journals that lie in the middle of their bearings."""
     rest = [_most(start.residuals.get(name, np.inf)) for name in mechanism.topology.clearances]
     concentric = all(x <= CLOSED for x in rest)
-    free = _free(mechanism, concentric, start.coordinates, jnp.asarray(_jolt(start)))
+    free = _free(mechanism, concentric, start.coordinates, jnp.asarray(_small_step_from(start)))
     return tuple(name for name in mechanism.start_arguments["start"] if not free[name])
 
 
@@ -224,7 +230,7 @@ def _free(mechanism: Mechanism, concentric: bool, q: Any, jolt: Any) -> dict[str
     return independent(problem, retract(problem.system, q, jolt))
 
 
-def _jolt(start: Start) -> np.ndarray:
+def _small_step_from(start: Start) -> np.ndarray:
     """A small step from the start, to where no position is singular by chance."""
     return 1e-3 * np.random.default_rng(0).normal(size=start.speeds.shape)
 
@@ -232,7 +238,7 @@ def _jolt(start: Start) -> np.ndarray:
 def beyond_limits(mechanism: Mechanism, start: Start) -> str:
     """A sentence where a coordinate starts beyond a stop or inside the flank of a play; "" where
     none does, and for what is being traced."""
-    stops: dict[str, Any] = {n: load for n, load in mechanism.loads.items() if _sides(load)}
+    stops: dict[str, Any] = {n: load for n, load in mechanism.loads.items() if _sides_of_stop(load)}
     plays = {n: load for n, load in mechanism.couplings.items() if load.gives and load.play}
     if not (stops or plays) or is_traced((mechanism, start)):
         return ""
@@ -255,7 +261,7 @@ def beyond_limits(mechanism: Mechanism, start: Start) -> str:
     )
 
 
-def _sides(load: Any) -> tuple:
+def _sides_of_stop(load: Any) -> tuple:
     return load.sides() if isinstance(load, AbstractCoordinateLoad) else ()
 
 
@@ -274,7 +280,7 @@ def _limits_exceeded(
         branch = system.topology.branch_of(load.coordinates()[0])
         motion = None if branch is None else motions[system.topology.branches.index(branch)]
         place = [] if motion is None else motion.coordinates[:1]
-        depths = [side.beyond(x) for side in _sides(load) for x in place]
+        depths = [side.beyond(x) for side in _sides_of_stop(load) for x in place]
         result.append(jnp.max(sp.stack(depths), initial=0.0))
     for name in plays:
         giving = system.transmissions[name]

@@ -33,8 +33,15 @@ def is_reversed(branch: Branch, joint: AbstractJoint) -> bool:
 
 
 def reversed_motion(joint: AbstractJoint, q: tuple, v: tuple) -> tuple[tuple, tuple]:
-    """Coordinates and speeds with which the inner marker moves as seen from the outer one, from
-    those with which the outer one moves as seen from the inner: its own inverse."""
+    """Coordinates and speeds of the inner marker as seen from the outer, from those of the outer.
+
+    The function is its own inverse.
+
+    Args:
+        joint: between the two markers.
+        q: its coordinates, as numbers.
+        v: its speeds.
+    """
     pose = joint.motion(q)
     columns = joint.columns(q)
     linear, angular = (
@@ -49,7 +56,13 @@ def reversed_motion(joint: AbstractJoint, q: tuple, v: tuple) -> tuple[tuple, tu
 def reversed_rows(
     joint: AbstractJoint, q: Float[Array, "time q"], v: Float[Array, "time v"]
 ) -> tuple[Float[Array, "time q"], Float[Array, "time v"]]:
-    """The same of every row; quaternions, which tell a rotation twice, go on with their sign."""
+    """`reversed_motion` for every row of a history; quaternions keep their sign from row to row.
+
+    Args:
+        joint: between the two markers.
+        q: its coordinates, shape (time, q).
+        v: its speeds, shape (time, v).
+    """
 
     def one(q, v):
         return tuple(map(sp.stack, reversed_motion(joint, tuple(q), tuple(v))))
@@ -65,7 +78,14 @@ def reversed_rows(
 
 
 def at_start(branch: Branch, joint: AbstractJoint, q: Any, v: Any) -> tuple[tuple, tuple]:
-    """The tree's coordinates and speeds from those of the connection."""
+    """The tree's coordinates and speeds from those of the connection.
+
+    Args:
+        branch: of the tree; it may run from the connection's child to its parent.
+        joint: of the branch.
+        q: coordinates of the connection.
+        v: its speeds.
+    """
     return reversed_motion(joint, tuple(q), tuple(v)) if is_reversed(branch, joint) else (q, v)
 
 
@@ -87,7 +107,13 @@ class Equations(NamedTuple):
 
 
 def source(mechanism: Mechanism, system: System, name: str) -> Source:
-    """Where the coordinates that go by a name are read."""
+    """Where the coordinates of a name are read: a branch of the tree, or a closure.
+
+    Args:
+        mechanism: with its joints.
+        system: prepared mechanism, as `prepare` returns it.
+        name: connection, motor or floating body.
+    """
     topology = system.topology
     for i, branch in enumerate(topology.branches):
         if branch.name == name and branch.coordinate_count:
@@ -109,9 +135,16 @@ def coordinate_equations(
     inputs: list[tuple],
     nearly: bool = False,
 ) -> list[Equations]:
-    """Coordinates of these joints, which are to have the values `inputs`, or `nearly`, angles by
-    the shorter way;
-    `q` are those of the tree, by branch."""
+    """Equations that give joints their coordinates, a list entry for each joint.
+
+    Args:
+        system: prepared mechanism, as `prepare` returns it.
+        motions: motion of every link at the coordinates.
+        q: coordinates of the tree, a tuple for each branch.
+        sources: where the joints' coordinates are read.
+        inputs: what is given for each, as `joint.start` takes it [rad, m].
+        nearly: whether they are a guess: then angles count by the shorter way.
+    """
     calls = []
     for where, values in zip(sources, inputs, strict=True):
         joint = where.joint
@@ -126,7 +159,7 @@ def coordinate_equations(
             turns = True
         calls.append((joint, part, target, turns))
     result = []
-    each = zip(sources, inputs, map_many(_increment, calls), strict=True)
+    each = zip(sources, inputs, map_many(_increment_from, calls), strict=True)
     for where, values, missed in each:
         report = where.joint.start_mask(values)
         rows = _rows(system, motions, where, len(report))
@@ -138,7 +171,15 @@ def coordinate_equations(
 def speed_equations(
     system: System, motions: tuple[Motion, ...], q: tuple, v: tuple, where: Source, values: tuple
 ) -> Equations:
-    """Speeds, which are to have these `values`; `q` and `v` are those of the tree, by branch."""
+    """Equations that give a joint its speeds.
+
+    Args:
+        system: prepared mechanism, as `prepare` returns it.
+        motions: motion of every link at the coordinates and speeds.
+        q, v: coordinates and speeds of the tree, a tuple for each branch.
+        where: where the joint's speeds are read.
+        values: speeds that are given [rad/s, m/s].
+    """
     if where.branch is not None:
         part, branch = v[where.branch], system.topology.branches[where.branch]
         place = at_start(branch, where.joint, q[where.branch], part)[0]
@@ -160,7 +201,7 @@ def _rows(
     return kinematics.relative_jacobian(system, motions, where.closure, pose, where.joint.speeds_at)
 
 
-def _increment(joint: AbstractJoint, q: tuple, origin: tuple, turns: bool) -> tuple:
+def _increment_from(joint: AbstractJoint, q: tuple, origin: tuple, turns: bool) -> tuple:
     """What leads from `origin` to q, to first order, in the joint's speeds held for unit time.
     `turns`: angles are known but for whole turns."""
     q = tuple(jnp.asarray(x, float) for x in q)

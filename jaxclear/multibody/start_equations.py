@@ -100,7 +100,13 @@ class Block(NamedTuple):
 
 
 def ask(mechanism: Mechanism, concentric: bool, worn: dict | None = None) -> Ask:
-    """What is asked of a mechanism's start, with surfaces `worn` so deep [m] (None: new ones)."""
+    """The equations of a mechanism's start.
+
+    Args:
+        mechanism: with `start`, `speeds` and `guess`.
+        concentric: whether journals are put in the middle of their bearings.
+        worn: depth maps [m] by joint and surface; None: new surfaces.
+    """
     system = prepare(mechanism)
     # A measure only: the start is not to follow its changes.
     arm = jax.lax.stop_gradient(longest_arm(system))
@@ -135,7 +141,13 @@ def guess(mechanism: Mechanism, system: System | None = None) -> tuple[Array, Ar
 
 
 def retract(system: System, q: Array, step: Array) -> Array:
-    """Coordinates moved along speeds for unit time, quaternions renormalised."""
+    """Coordinates moved along speeds for unit time, quaternions renormalised.
+
+    Args:
+        system: prepared mechanism, as `prepare` returns it.
+        q: coordinates of the tree, shape (coordinates,) [rad, m; 1 for quaternions].
+        step: speeds times time, shape (speeds,) [rad, m].
+    """
     branch_q, branch_step = unpack_motion(system, [*unstacked(q), *unstacked(step)])
     each = zip(system.links, branch_q, branch_step, strict=True)
     moved = map_many(
@@ -146,7 +158,14 @@ def retract(system: System, q: Array, step: Array) -> Array:
 
 
 def motions_at(problem: Ask, q: Array, v: Array, time: Any) -> tuple[tuple, tuple, tuple]:
-    """Coordinates and speeds by branch, and the motions of all links."""
+    """Coordinates and speeds by branch, and the motions of all links.
+
+    Args:
+        problem: equations of the start (`ask`).
+        q: coordinates of the tree, shape (coordinates,) [rad, m; 1 for quaternions].
+        v: free speeds, shape (speeds,) [rad/s, m/s].
+        time: instant [s] at which drives are evaluated.
+    """
     branch_q, branch_v = unpack_motion(problem.system, [*unstacked(q), *unstacked(v)])
     return branch_q, branch_v, kinematics.link_motions(problem.system, branch_q, branch_v, time)
 
@@ -164,7 +183,13 @@ class Place(NamedTuple):
 
 
 def place_at(problem: Ask, q: Array, time: Any) -> Place:
-    """The mechanism at rest at coordinates of the tree."""
+    """The mechanism at rest at coordinates of the tree.
+
+    Args:
+        problem: equations of the start (`ask`).
+        q: coordinates of the tree, shape (coordinates,) [rad, m; 1 for quaternions].
+        time: instant [s] at which drives are evaluated.
+    """
     branch_q, _, motions = motions_at(
         problem, q, jnp.zeros(problem.system.topology.speed_count), time
     )
@@ -172,7 +197,13 @@ def place_at(problem: Ask, q: Array, time: Any) -> Place:
 
 
 def position_blocks(problem: Ask, q: Array, time: Any) -> list[Block]:
-    """What is left to change in the coordinates for all that is held, in order."""
+    """Equations in the coordinates for all that is held, in order of priority.
+
+    Args:
+        problem: equations of the start (`ask`).
+        q: coordinates at which residual and Jacobian are taken, shape (coordinates,).
+        time: instant [s] at which drives are evaluated.
+    """
     return blocks_at(problem, place_at(problem, q, time))
 
 
@@ -192,7 +223,7 @@ def guess_blocks(problem: Ask, place: Place) -> list[Block]:
     return _coordinate_blocks(problem, place, GUESS)
 
 
-def _straight(problem: Ask, *parts: str) -> dict[str, tuple]:
+def _straight_values(problem: Ask, *parts: str) -> dict[str, tuple]:
     """What hinges of beams are at of which nothing is given in these parts."""
     hinges = parts_of_beams(problem.mechanism.loads) if problem.straight else ()
     start_names = {name for part in parts for name in getattr(problem.mechanism, part)}
@@ -204,7 +235,7 @@ def _coordinate_blocks(problem: Ask, place: Place, kind: str) -> list[Block]:
     """Coordinates that are given, guessed, or straight."""
     blocks: list[Block] = []
     if kind == STRAIGHT:
-        entries: Any = _straight(problem, "start", "guess").items()
+        entries: Any = _straight_values(problem, "start", "guess").items()
     else:
         entries = problem.mechanism.start_arguments["start" if kind == START else "guess"].items()
     sources = [
@@ -221,11 +252,18 @@ def _coordinate_blocks(problem: Ask, place: Place, kind: str) -> list[Block]:
 
 
 def speed_blocks(problem: Ask, q: Array, v: Array, time: Any) -> list[Block]:
-    """What is left to change in the speeds, in order."""
+    """Equations in the speeds for all that is held, in order of priority.
+
+    Args:
+        problem: equations of the start (`ask`).
+        q: coordinates of the tree, shape (coordinates,) [rad, m; 1 for quaternions].
+        v: free speeds at which the residual is taken, shape (speeds,).
+        time: instant [s] at which drives are evaluated.
+    """
     branch_q, branch_v, motions = motions_at(problem, q, v, time)
     blocks = [_closure_block(problem, motions, n, c, LOOP, True) for n, c in _loops(problem)]
     fast = problem.mechanism.start_arguments["speeds"]
-    still = _straight(problem, "speeds")
+    still = _straight_values(problem, "speeds")
     later: list[Block] = []
     for name, values in (fast | still).items():
         where = start_constraints.source(problem.mechanism, problem.system, name)
@@ -258,7 +296,7 @@ def stacked(problem: Ask, blocks: list[Block]) -> tuple[Array, Array]:
     none = jnp.zeros((0, problem.system.topology.speed_count))
     if len(blocks) >= LARGEST_UNROLLED:
         rows = [row for block in blocks for row in block.rows]
-        return _dense(problem, rows), jnp.concatenate([block.rest for block in blocks])
+        return _dense_rows(problem, rows), jnp.concatenate([block.rest for block in blocks])
     return (
         jnp.concatenate([none, *jacobians(problem, blocks)]),
         jnp.concatenate([none.ravel(), *(block.rest for block in blocks)]),
@@ -268,7 +306,7 @@ def stacked(problem: Ask, blocks: list[Block]) -> tuple[Array, Array]:
 def jacobians(problem: Ask, blocks: list[Block]) -> list[Array]:
     """The Jacobian of each block."""
     if len(blocks) < LARGEST_UNROLLED:
-        return [_dense(problem, block.rows) for block in blocks]
+        return [_dense_rows(problem, block.rows) for block in blocks]
     ends = np.cumsum([len(block.rows) for block in blocks])
     return jnp.split(stacked(problem, blocks)[0], ends[:-1])
 
@@ -296,14 +334,14 @@ def _loops(problem: Ask) -> list[tuple[str, Closure]]:
     return list(zip(problem.system.topology.loops, problem.system.closures, strict=True))
 
 
-def _journals(problem: Ask) -> list[tuple[str, Closure]]:
+def _concentric_journals(problem: Ask) -> list[tuple[str, Closure]]:
     bearings = problem.system.bearings if problem.concentric else {}
     return [(name, bearing.closure) for name, bearing in bearings.items()]
 
 
 def _journal_blocks(problem: Ask, motions: tuple[Motion, ...], rates: bool) -> list[Block]:
     """Journals that are to be concentric."""
-    journals = _journals(problem)
+    journals = _concentric_journals(problem)
     closures = [closure for _, closure in journals]
     relative = kinematics.relative_motions(closures, motions)
     turning = [
@@ -357,7 +395,7 @@ def _start_block(
     )
 
 
-def _dense(problem: Ask, rows: list[kinematics.JacobianRow]) -> Float[Array, "rows v"]:
+def _dense_rows(problem: Ask, rows: list[kinematics.JacobianRow]) -> Float[Array, "rows v"]:
     count = problem.system.topology.speed_count
     entries = {(i, j): x for i, row in enumerate(rows) for j, x in row.items()}
     return factorisation.placed(entries, (len(rows), count))

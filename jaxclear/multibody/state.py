@@ -135,8 +135,13 @@ class Layout:
 def lay_out(
     system: System, balance: bool = False, impulses: tuple[tuple[str, int], ...] = ()
 ) -> Layout:
-    """The layout of a system's state; `balance` adds the energies that close the energy balance,
-    `impulses` so many components of an impulse [N s, N m s] since the start for a joint."""
+    """The layout of a system's state array.
+
+    Args:
+        system: prepared mechanism, as `prepare` returns it.
+        balance: whether energies are integrated that close the energy balance.
+        impulses: (joint, number of components) of impulses [N s, N m s] since the start.
+    """
     topology = system.topology
     memories, wear = [], []
     position = topology.coordinate_count + topology.speed_count
@@ -157,7 +162,7 @@ def lay_out(
     states += tuple((name, x) for name, part in system.transmissions.items() for x in part.states())
     plays = tuple(name for name, part in system.transmissions.items() if part.coupling.play)
     position += len(angles) + len(states)
-    for name, surface, k, features in _wearing(system, samples):
+    for name, surface, k, features in _iterate_wear_slots(system, samples):
         constants = {i: f for i, f in enumerate(features) if isinstance(f, (int, float))}
         averaged = tuple(i for i in range(len(features)) if i not in constants)
         values = tuple((i, float(f)) for i, f in constants.items())
@@ -179,7 +184,7 @@ def lay_out(
     )
 
 
-def _wearing(system: System, samples: dict[str, tuple]) -> list[tuple]:
+def _iterate_wear_slots(system: System, samples: dict[str, tuple]) -> list[tuple]:
     """(joint, surface, contact, location) of every contact whose wear is mapped, the joints with
     clearance as `samples` show them."""
     result = []
@@ -239,11 +244,11 @@ def components(system: System, bearing: Bearing) -> tuple[int, ...]:
 
 def _is_planar(system):
     return all(
-        not link.joint.columns(link.joint.home) or _flat(link) for link in system.links
+        not link.joint.columns(link.joint.home) or _is_planar_link(link) for link in system.links
     ) and bool(system.links)
 
 
-def _flat(link):
+def _is_planar_link(link):
     return all(
         sp.is_zero(c.linear[2]) and sp.is_zero(c.angular[0]) and sp.is_zero(c.angular[1])
         for c in link.joint.columns(link.joint.home)
@@ -303,7 +308,15 @@ class Followed(NamedTuple):
 
 
 def unpack_followed(layout: Layout, entries: Any, shares: Any = None) -> Followed:
-    """What the state follows; `shares` of the flanks of all plays, in their order."""
+    """Angles, load states and flanks that the state integrates beside the motion.
+
+    Args:
+        layout: where they sit.
+        entries: of a state, an array or a list of scalars.
+            shares: 1 for touching and 0 for apart, for the two flanks of each play in turn; None:
+            as their
+            positions have it.
+    """
     angles = {name: entries[layout.angle_start + i] for i, name in enumerate(layout.angles)}
     states: dict[str, tuple] = {}
     for i, (owner, _) in enumerate(layout.states):
@@ -326,8 +339,15 @@ def bounds(system: System, layout: Layout) -> dict[int, Any]:
 
 
 def within_bounds(system: System, layout: Layout, state: Any) -> Any:
-    """The state at the end of a step, with what stands still at a bound there. A number by which
-    its instant moves moves it no more."""
+    """The state at the end of a step, with load states clipped to their bounds.
+
+    The derivative of an entry at its bound is 0.
+
+    Args:
+        system: with the loads that bound their states.
+        layout: where these states sit.
+        state: shape (n,).
+    """
     for place, most in bounds(system, layout).items():
         state = state.at[place].set(jnp.clip(state[place], -most, most))
     return state

@@ -148,7 +148,7 @@ class System(eqx.Module):
     flanks: dict[str, Transmission] = eqx.field(default_factory=dict)
 
 
-def _rotated(pose: Pose, turn: sp.Mat) -> Pose:
+def _rotate_pose(pose: Pose, turn: sp.Mat) -> Pose:
     return Pose(sp.product(pose.rotation, turn), pose.translation)
 
 
@@ -160,7 +160,7 @@ def prepare(mechanism: Mechanism, shifts: dict[str, Pose] | None = None) -> Syst
     links: list[Link] = []
     for subtree in topology.subtrees:
         for position in subtree:
-            links.append(_link(mechanism, position, subtree, links, shifts))
+            links.append(_make_link(mechanism, position, subtree, links, shifts))
     frames = {GROUND: REST} | {
         branch.body: link.frame for branch, link in zip(topology.branches, links, strict=True)
     }
@@ -196,11 +196,11 @@ def prepare(mechanism: Mechanism, shifts: dict[str, Pose] | None = None) -> Syst
     closing = tuple(mechanism.connections[name].joint for name in topology.closing)
     places = dict(zip(topology.closing, closures, strict=True))
     places |= {name: bearing.closure for name, bearing in bearings.items()}
-    closures += tuple(_row(mechanism, name, places, frames) for name in topology.couplings)
+    closures += tuple(_make_row(mechanism, name, places, frames) for name in topology.couplings)
     transmissions = {}
     for name, coupling in mechanism.couplings.items():
         if coupling.gives:
-            law = _row(mechanism, name, places, frames)
+            law = _make_row(mechanism, name, places, frames)
             scale = scale_of(mechanism, coupling)
             _check_error(name, coupling, law)
             end = _driving_end(mechanism, name, scale)
@@ -252,26 +252,26 @@ def motor_ends(mechanism: Mechanism) -> dict[str, MotorEnd]:
         joints = coupling.joints()
         twists = coupling.play is not None or coupling.stiffness is not None
         if coupling.motor is not None and twists and len(joints) == 1:
-            ends[joints[0]] = _motor_end(mechanism, name)
+            ends[joints[0]] = _end_of_motor(mechanism, name)
     return ends
 
 
-def _motor_end(mechanism: Mechanism, name: str) -> MotorEnd:
+def _end_of_motor(mechanism: Mechanism, name: str) -> MotorEnd:
     """The motor of a coupling as its joint sees it."""
-    motor, terms = motor_name(name), dict(_terms(mechanism, name))
+    motor, terms = motor_name(name), dict(_terms_with_motor(mechanism, name))
     coupling: Any = mechanism.couplings[name]
     part, total = terms.pop(motor), coupling.total()
     (factor,) = terms.values()
     return MotorEnd(motor, -factor / part, None if total is None else total / part)
 
 
-def _row(mechanism: Mechanism, name: str, places: dict, frames: dict) -> Closure:
+def _make_row(mechanism: Mechanism, name: str, places: dict, frames: dict) -> Closure:
     """The row of a coupling; `places`: closures of the joints outside the tree, `frames` of all
     bodies in their links."""
     coupling = mechanism.couplings[name]
     if isinstance(coupling, AbstractCoordinateCoupling) or coupling.motor is not None:
-        return _summed(mechanism, name, places)
-    return _meshing(mechanism, coupling, frames)
+        return _make_sum_row(mechanism, name, places)
+    return _make_meshing_row(mechanism, coupling, frames)
 
 
 def scale_of(mechanism: Mechanism, coupling: Any) -> Any:
@@ -288,7 +288,7 @@ def _driving_end(mechanism: Mechanism, name: str, scale: Any) -> DrivingEnd | No
         return None
     if coupling.motor is not None:
         motor = motor_name(name)
-        slope = dict(_terms(mechanism, name))[motor] / scale
+        slope = dict(_terms_with_motor(mechanism, name))[motor] / scale
         return DrivingEnd(motor, slope, coupling.efficiency)
     first = coupling.joints()[0]
     drawn = drawn_pose(coupling, mechanism.bodies, mechanism.connections)
@@ -307,7 +307,7 @@ def sliding_along(name: str, coupling: Any) -> str | None:
     return coupling.play_joint()
 
 
-def _terms(mechanism: Mechanism, name: str) -> list[CoordinateTerm]:
+def _terms_with_motor(mechanism: Mechanism, name: str) -> list[CoordinateTerm]:
     """The terms of a coupling, its motor by name."""
     coupling: Any = mechanism.couplings[name]
     part = coupling.terms()
@@ -322,12 +322,12 @@ def geared_motors(mechanism: Mechanism) -> dict[str, Geared]:
     for name, coupling in couplings.items():
         motor = motor_name(name)
         if motor in dict(mechanism.topology.geared):
-            end = _motor_end(mechanism, name)
+            end = _end_of_motor(mechanism, name)
             result[motor] = Geared(coupling.joints()[0], end.ratio, end.offset)
     return result
 
 
-def _meshing(mechanism: Mechanism, coupling: Any, frames: dict[str, Pose]) -> Closure:
+def _make_meshing_row(mechanism: Mechanism, coupling: Any, frames: dict[str, Pose]) -> Closure:
     """The row of a coupling of bodies, between the markers that mesh."""
     topology, connections = mechanism.topology, mechanism.connections
     ends = markers(coupling, connections)
@@ -337,9 +337,9 @@ def _meshing(mechanism: Mechanism, coupling: Any, frames: dict[str, Pose]) -> Cl
     return Closure(parent, child, first, second, (LENGTH,), reading)
 
 
-def _summed(mechanism: Mechanism, name: str, places: dict[str, Closure]) -> Closure:
+def _make_sum_row(mechanism: Mechanism, name: str, places: dict[str, Closure]) -> Closure:
     """The row of a coupling of coordinates; `places`: closures of the joints outside the tree."""
-    topology, result = mechanism.topology, _terms(mechanism, name)
+    topology, result = mechanism.topology, _terms_with_motor(mechanism, name)
     coupling: Any = mechanism.couplings[name]
     joints = {n: coordinate_joint(n, mechanism.bodies, mechanism.connections) for n, _ in result}
     links = {branch.connection: i for i, branch in enumerate(topology.branches)}
@@ -371,7 +371,7 @@ def _measured(mechanism: Mechanism, places: dict[str, Closure]) -> dict[str, Clo
     return result
 
 
-def _link(
+def _make_link(
     mechanism: Mechanism,
     position: int,
     subtree: tuple[int, ...],
@@ -381,7 +381,7 @@ def _link(
     topology = mechanism.topology
     branch = topology.branches[position]
     if branch.motor:
-        return _motor(mechanism, branch)
+        return _make_motor_link(mechanism, branch)
     body = mechanism.bodies[branch.body]
     joint = joint_of(branch, mechanism.bodies, mechanism.connections)
     base, outer = REST, REST
@@ -391,7 +391,7 @@ def _link(
         if branch.connection in shifts:
             base = base.after(shifts[branch.connection])
         if branch.reversed:
-            base, outer = _rotated(outer, joint.reversal), _rotated(base, joint.reversal)
+            base, outer = _rotate_pose(outer, joint.reversal), _rotate_pose(base, joint.reversal)
     parent = topology.index(branch.parent)
     if parent is not None:
         base = links[parent].frame.after(base)
@@ -406,20 +406,20 @@ def _link(
         sp.scale(body.mass, centre),
         sp.shift_inertia(inertia, body.mass, sp.ZERO, centre),
         -1 if parent is None else subtree.index(parent),
-        _rotor(mechanism, branch.connection),
+        _reflected_inertia(mechanism, branch.connection),
     )
 
 
-def _motor(mechanism: Mechanism, branch: Branch) -> Link:
+def _make_motor_link(mechanism: Mechanism, branch: Branch) -> Link:
     """The link of a motor: it has an angle and an inertia along it, and nothing else."""
-    joint, rotor = Revolute(), _rotor(mechanism, branch.name)
+    joint, rotor = Revolute(), _reflected_inertia(mechanism, branch.name)
     return Link(joint, REST, REST, 0, sp.ZERO, NO_INERTIA, -1, rotor)
 
 
 NO_INERTIA: sp.Mat = (sp.ZERO,) * 3
 
 
-def _rotor(mechanism: Mechanism, connection: str | None) -> Any:
+def _reflected_inertia(mechanism: Mechanism, connection: str | None) -> Any:
     """Inertia of loads and motors that moves with the coordinate of a joint, or of a motor, alone;
     None for none."""
     acting = [x for x in mechanism.loads.values() if isinstance(x, AbstractStateLoad)]

@@ -68,14 +68,14 @@ def apply_thermal_expansion(mechanism: Mechanism, rise: Any, expansion: Any) -> 
     for name, body in dict.items(mechanism.bodies):
         if isinstance(body, Body) and body.com is not None:
             com = tuple(growth[name] * x for x in body.com)
-            warm = eqx.tree_at(_place("bodies", name, "com"), warm, com)
+            warm = eqx.tree_at(_field_reader("bodies", name, "com"), warm, com)
     for name in mechanism.topology.clearances:
         connection = mechanism.connections[name]
         factors = growth[connection.parent.body], growth[connection.child.body]
         joint: AbstractClearance = connection.joint.grown(*factors)
-        warm = eqx.tree_at(_place("connections", name, "joint"), warm, joint)
+        warm = eqx.tree_at(_field_reader("connections", name, "joint"), warm, joint)
     return warm
 
 
-def _place(part: str, name: str, field: str) -> Callable[[Mechanism], Any]:
+def _field_reader(part: str, name: str, field: str) -> Callable[[Mechanism], Any]:
     return lambda mechanism: getattr(getattr(mechanism, part)[name], field)

@@ -180,7 +180,13 @@ def free_joint(body: Body) -> AbstractJoint:
 def joint_of(
     branch: Branch, bodies: dict[str, Body], connections: dict[str, Connection]
 ) -> AbstractJoint:
-    """The joint of a branch."""
+    """The joint of a branch: of its connection, of a floating body, or of a motor.
+
+    Args:
+        branch: of the tree.
+        bodies: by name; a floating body's inertia decides between planar and spatial.
+        connections: by name.
+    """
     if branch.motor:
         return Revolute()
     return (
@@ -193,10 +199,19 @@ def joint_of(
 def coordinate_joint(
     name: str, bodies: dict[str, Body], connections: dict[str, Connection]
 ) -> AbstractJoint:
-    """The joint in whose coordinates a name is spoken of: that of a connection, whether it carries
-    coordinates, closes a loop or has clearance; of a body, the one that places it in the ground.
+    """The joint in whose coordinates a name is given and read.
 
-    Raises `ValueError`, with a sentence that goes behind the name, where there is none.
+    It is the connection's, also where that closes a loop or has clearance; for a body the joint
+    that
+    places it in the ground.
+
+    Args:
+        name: connection, body, or motor.
+        bodies: by name.
+        connections: by name.
+
+    Raises:
+        ValueError: with a clause to be put behind the name, where there is no such joint.
     """
     if name not in connections:
         is_motor = name.endswith(MOTOR) and name not in bodies
@@ -217,8 +232,14 @@ def grow(
     couplings: Mapping[str, AbstractCoupling] | None = None,
     first: tuple[str, ...] = (),
 ) -> Topology:
-    """The spanning tree of a mechanism whose names have been checked; joints that are to come
-    `first` are in it wherever they can be."""
+    """The spanning tree of a mechanism whose names have been checked.
+
+    Args:
+        bodies: by name.
+        connections: by name; clearance joints are never in the tree.
+        couplings: by name; rigid ones close loops, motors become branches. None: none.
+        first: joints that are put in the tree wherever possible.
+    """
     ideal = {name: c for name, c in connections.items() if isinstance(c.joint, AbstractJoint)}
     depth = {GROUND: 0}
     order: list[tuple[str, str | None, str, bool]] = []

@@ -127,12 +127,17 @@ def compliance_of(train: Transmission) -> Compliance:
 def pressing(
     spring: Compliance, twist: CouplingTwist, end: Any = None, shares: Any = None
 ) -> Pressing:
-    """What a transmission does at a twist. `end`: where the shaft's far end is from the middle of
-    the gap (None: its law has none); `shares` of the upper and the lower flank that count as
-    touching, 1 or 0 (None: as their places have it)."""
+    """Torque, energy and flanks of a transmission at a twist.
+
+    Args:
+        spring: play, stiffness and damping.
+        twist: at the instant, with its rate [rad, rad/s; m, m/s].
+        end: position of the shaft's far end from the middle of the gap; None: the law has none.
+        shares: 1 for touching and 0 for apart, of the upper and lower flank; None: by position.
+    """
     play, stiffness, damping, slack = spring
     if slack is not None:
-        return _of_strands(spring, twist)
+        return _strand_pressing(spring, twist)
     if play is None:
         viscous = 0 if damping is None else damping * twist.rate
         loss = sp.mul(viscous, twist.rate)
@@ -169,7 +174,7 @@ def pressing(
     return Pressing(*parts, depths, rates, tuple(acting))
 
 
-def _of_strands(belt: Compliance, twist: CouplingTwist) -> Pressing:
+def _strand_pressing(belt: Compliance, twist: CouplingTwist) -> Pressing:
     """The same of a belt whose two strands share its stiffness, and pull alone."""
     half = None if belt.damping is None else 0.5 * belt.damping
     pulls = [
@@ -220,7 +225,7 @@ def _mean_depth(depth: Any, path: Any) -> tuple[Any, Any]:
     return 0.5 * (first + last) * share, share
 
 
-def _mean_of_strands(belt: Compliance, twist: CouplingTwist, length: Any) -> Any:
+def _mean_strand_torque(belt: Compliance, twist: CouplingTwist, length: Any) -> Any:
     """The same of a belt."""
     torques = []
     for sign in (1.0, -1.0):
@@ -232,15 +237,21 @@ def _mean_of_strands(belt: Compliance, twist: CouplingTwist, length: Any) -> Any
 
 
 def mean_torque(spring: Compliance, twist: CouplingTwist, end: Any, length: Any) -> Any:
-    """Mean torque over a step of a `length` [s] that begins at a twist and has a mean rate; `end`
-    as of `pressing`, at the start. A spring's is what it takes of energy over its way (the discrete
-    gradient), a damper acts on the share of the way on which the flank is touched.
+    """Mean torque [N m, N] over a step, by the discrete gradient of the spring's energy.
+
+    A damper acts on the share of the step's travel on which its flank touches.
+
+    Args:
+        spring: play, stiffness and damping.
+        twist: at the start of the step, with its mean rate over the step.
+        end: position of the shaft's far end at the start (`pressing`); None: the law has none.
+        length: of the step [s].
 
     Source: Gonzalez 1996, J. Nonlinear Sci. 6, 449, doi:10.1007/BF02440162.
     """
     play, stiffness, damping, slack = spring
     if slack is not None:
-        return _mean_of_strands(spring, twist, length)
+        return _mean_strand_torque(spring, twist, length)
     if play is None:
         viscous = 0 if damping is None else damping * twist.rate
         return sp.add(stiffness * (twist.value + 0.5 * length * twist.rate), viscous)
@@ -268,7 +279,13 @@ def end_at_start(train: Transmission, twist: CouplingTwist) -> Any:
 
 
 def torque_on_flanks(train: Transmission, depths: Any, rates: Any) -> Any:
-    """Torques [N m, N] of the flanks at these depths and rates, as `pressing` tells them."""
+    """Torques [N m, N] of flanks at given depths and rates, by the law of `pressing`.
+
+    Args:
+        train: transmission with play.
+        depths: indentation of each flank [rad, m].
+        rates: their rates [rad/s, m/s].
+    """
     coupling = train.coupling
     elastic = coupling.stiffness * depths
     if train.has_twist:
@@ -281,8 +298,15 @@ def torque_on_flanks(train: Transmission, depths: Any, rates: Any) -> Any:
 
 
 def within_gaps(system: System, layout: Layout, entries: list) -> list:
-    """The entries of a state with the far ends of shafts not beyond their gaps, as numbers: their
-    derivatives are what they were."""
+    """The entries of a state with the far ends of shafts clipped to their gaps.
+
+    The correction is a constant: derivatives stay as they were.
+
+    Args:
+        system: with the transmissions' plays.
+        layout: where the far ends sit.
+        entries: of the state, scalars.
+    """
     result = list(entries)
     for i, (owner, state) in enumerate(layout.states):
         train = system.transmissions.get(owner)
@@ -296,8 +320,16 @@ def within_gaps(system: System, layout: Layout, entries: list) -> list:
 def between_worn_flanks(
     system: System, layout: Layout, worn: tuple[dict, dict], state: Array
 ) -> Array:
-    """The state with the far ends of shafts on the flanks on which they lie, which are `worn` as in
-    the first of two before, and as in the second now: off them a shaft would press nothing."""
+    """The state with far ends of shafts moved along with the flanks on which they lie.
+
+    Off its flank a shaft would transmit nothing.
+
+    Args:
+        system: with the transmissions whose flanks wear.
+        layout: where the far ends sit.
+        worn: depths [m] by coupling and flank, before and after the update.
+        state: shape (n,).
+    """
     flanks = flanks_that_wear(system)
     for i, (owner, name) in enumerate(layout.states):
         if owner not in flanks or name != TWIST:

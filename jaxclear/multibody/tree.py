@@ -104,7 +104,13 @@ def power(twist: Twist, wrench: Wrench) -> Any:
 def link_motions(
     links: tuple[Link, ...], coordinates: tuple, speeds: tuple, time: Scalar
 ) -> tuple[Motion, ...]:
-    """Motions from root to tips; driven joints take theirs from the time [s]."""
+    """Motions of a subtree's links, from root to tips.
+
+    Args:
+        links: of the subtree, parents first.
+        coordinates, speeds: a tuple for each link, empty where a drive gives them.
+        time: instant [s] of the drives.
+    """
     motions: list[Motion] = []
     for link, q, v in zip(links, coordinates, speeds, strict=True):
         drive = drive_of(link.joint)
@@ -142,8 +148,13 @@ def link_motions(
 def link_accelerations(
     links: tuple[Link, ...], motions: tuple[Motion, ...], rates: tuple | None, ground: sp.Vec
 ) -> tuple[Twist, ...]:
-    """Spatial accelerations for given free accelerations `rates` by link (None: zero) and
-    acceleration of the ground.
+    """Spatial accelerations of a subtree's links, in their axes [m/s2, rad/s2].
+
+    Args:
+        links: of the subtree, parents first.
+        motions: of these links.
+        rates: free accelerations, a tuple for each link; None: zero.
+        ground: acceleration of the ground [m/s2], upwards where it stands for gravity.
     """
     accelerations: list[Twist] = []
     for index, (link, motion) in enumerate(zip(links, motions, strict=True)):
@@ -161,8 +172,13 @@ def joint_wrenches(
     accelerations: tuple[Twist, ...],
     loads: tuple[Wrench, ...],
 ) -> tuple[Wrench, ...]:
-    """Wrench that each link receives through its inboard joint, in the link's frame: what the
-    motion needs, less the loads.
+    """Wrench that each link receives through its inboard joint, in the link's frame.
+
+    Args:
+        links: of the subtree, parents first.
+        motions: of these links.
+        accelerations: spatial, of these links (`link_accelerations`).
+        loads: wrench on each link about its origin, in its axes.
     """
     through: list[Any] = []
     for link, motion, acceleration, load in zip(links, motions, accelerations, loads, strict=True):
@@ -197,8 +213,13 @@ def joint_wrenches(
 
 
 def bias_forces(links, motions, ground: sp.Vec, loads: tuple[Wrench, ...]) -> tuple:
-    """Generalised forces, one per free speed, that hold zero free accelerations against motion,
-    gravity and loads.
+    """Generalised forces, one for each free speed, at which all free accelerations are zero.
+
+    Args:
+        links: of the subtree, parents first.
+        motions: of these links.
+        ground: acceleration of the ground [m/s2], upwards where it stands for gravity.
+        loads: wrench on each link about its origin, in its axes.
     """
     through = joint_wrenches(
         links, motions, link_accelerations(links, motions, None, ground), loads
@@ -215,7 +236,7 @@ def mass_matrix(links: tuple[Link, ...], motions: tuple[Motion, ...]) -> tuple[t
     composite = [(link.mass, link.first_moment, link.inertia) for link in links]
     for index in range(len(links) - 1, -1, -1):
         parent = links[index].parent
-        if parent >= 0 and _moves(links, motions, parent):
+        if parent >= 0 and _has_free_speed(links, motions, parent):
             mass, moment, inertia = composite[index]
             rotation, offset = motions[index].relative
             rotated = sp.apply(rotation, moment)
@@ -254,7 +275,7 @@ def mass_matrix(links: tuple[Link, ...], motions: tuple[Motion, ...]) -> tuple[t
     return tuple(map(tuple, rows))
 
 
-def _moves(links, motions, index) -> bool:
+def _has_free_speed(links, motions, index) -> bool:
     """True where the link or one of its ancestors has a free speed, so that its composite inertia
     is needed.
     """

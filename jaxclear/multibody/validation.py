@@ -100,7 +100,7 @@ def check_user_load(name: str, load: Any) -> None:
         return
     if isinstance(load, AbstractJointLoad):
         what, states = f'load "{name}", its act(time, motion, states),', load.states()
-        describe = lambda *at: _in_joint(what, call_user(what, load.act, *at), states)
+        describe = lambda *at: _check_joint_effect(what, call_user(what, load.act, *at), states)
         shape_of(describe, NUMBER, IN_JOINT, (NUMBER,) * len(states))
     elif isinstance(load, AbstractStateLoad) and not isinstance(load, AbstractCoordinateLoad):
         kind = "coupling" if isinstance(load, AbstractForceCoupling) else "load"
@@ -115,7 +115,7 @@ def check_user_load(name: str, load: Any) -> None:
         shape_of(describe, NUMBER, NUMBER, NUMBER)
     if isinstance(load, AbstractBodyLoad):
         what, markers = f'load "{name}", its effect(time, motions),', load.markers()
-        describe = lambda *at: _effect(what, call_user(what, load.effect, *at), markers)
+        describe = lambda *at: _check_body_effect(what, call_user(what, load.effect, *at), markers)
         shape_of(describe, NUMBER, (MARKER_MOTION,) * len(markers))
 
 
@@ -127,7 +127,7 @@ def _on_coordinates(what: str, effect: Any, load: Any) -> None:
     _numbers(what, effect[2:], CoordinateEffect._fields[2:])
 
 
-def _in_joint(what: str, effect: Any, states: tuple) -> None:
+def _check_joint_effect(what: str, effect: Any, states: tuple) -> None:
     expect(effect, JointEffect, f"{what} returns what", "a jaxclear.load.JointEffect")
     _numbers(f"{what} the force,", tuple(effect.force), "xyz")
     _numbers(f"{what} the torque,", tuple(effect.torque), "xyz")
@@ -141,7 +141,7 @@ def is_users(part: Any) -> bool:
     return type(part).__module__.partition(".")[0] != __name__.partition(".")[0]
 
 
-def _effect(what: str, effect: Any, markers: tuple[Marker, ...]) -> None:
+def _check_body_effect(what: str, effect: Any, markers: tuple[Marker, ...]) -> None:
     expect(effect, Effect, f"{what} returns what", "a jaxclear.load.Effect")
     for order, action in enumerate(effect.actions):
         expect(action, Action, f"{what} returns an action that", "a jaxclear.load.Action")
@@ -167,8 +167,10 @@ def _numbers(what: str, result: Any, names: Any) -> None:
 
 
 def check_parts(bodies: dict, connections: dict, loads: dict, couplings: dict) -> None:
-    """Types must be what the slots expect, names refer to something, numbers be possible, and every
-    body be held.
+    """Raises `ValueError` for parts of a wrong type, unknown names or impossible numbers.
+
+    Args:
+        bodies, connections, loads, couplings: parts of the mechanism, each by name.
     """
     if not bodies:
         raise ValueError("a mechanism needs at least one body.")
@@ -185,7 +187,7 @@ def check_parts(bodies: dict, connections: dict, loads: dict, couplings: dict) -
         expect(coupling, AbstractCoupling, f'coupling "{name}"', "one of jaxclear.coupling")
         _check_slots(f'coupling "{name}"', coupling)
         check_values(f'coupling "{name}"', coupling)
-    values = _motors(bodies, connections, couplings)
+    values = _check_motor_names(bodies, connections, couplings)
     for name, load in loads.items():
         _check_load(name, load, bodies, connections, values)
         if isinstance(load, AbstractStateLoad):
@@ -220,7 +222,7 @@ def _check_connection(name: str, connection: Any, bodies: dict) -> None:
         check_rows(name, joint)
     if isinstance(joint, AbstractClearance):
         try:
-            plain = _in_numpy(joint)
+            plain = _with_numpy_leaves(joint)
             for laws in plain.contact_laws():
                 # What a law asks of a shape hangs on its form: no number is worked out.
                 eqx.filter_eval_shape(fitted, laws.contact, laws.shape)
@@ -234,13 +236,13 @@ def _check_connection(name: str, connection: Any, bodies: dict) -> None:
             raise ValueError(f'joint "{name}": {error}') from None
 
 
-def _in_numpy(tree: Any) -> Any:
+def _with_numpy_leaves(tree: Any) -> Any:
     """The same with numbers that NumPy computes with: JAX would compile each operation."""
     evaluate = lambda leaf: isinstance(leaf, jax.Array) and not isinstance(leaf, jax.core.Tracer)
     return jax.tree.map(lambda leaf: np.asarray(leaf)[()] if evaluate(leaf) else leaf, tree)
 
 
-def _motors(bodies: dict, connections: dict, couplings: dict) -> list[str]:
+def _check_motor_names(bodies: dict, connections: dict, couplings: dict) -> list[str]:
     """Names of motors. Raises `ValueError` where a joint or a body has such a name."""
     result = [*motors(couplings)]
     for name in result:
@@ -333,8 +335,17 @@ def _check_acts(name: str, place: str, bodies: dict, connections: dict, values: 
 
 
 def one_coordinate(what: str, name: str, bodies: dict, connections: dict, else_: str = "") -> Any:
-    """The joint `name` as its coordinate is read. Raises `ValueError` where it has not exactly one:
-    `what` says who asks, `else_` what would be right."""
+    """The joint `name` as its single coordinate is read.
+
+    Args:
+        what: begins the message: who reads the coordinate.
+        name: connection, body or motor.
+        bodies, connections: parts of the mechanism, each by name.
+        else_: ends the message: what would be right.
+
+    Raises:
+        ValueError: there is no such joint, or it has not exactly one coordinate.
+    """
     try:
         joint = coordinate_joint(name, bodies, connections)
     except ValueError as error:
@@ -407,7 +418,12 @@ def check_finite(what: str, part: Any) -> None:
 
 
 def check_tree(topology: Topology, connections: dict, loads: dict) -> None:
-    """Drives and inertias of coordinates must fit the tree."""
+    """Raises `ValueError` for drives that close loops and inertias on coordinates outside the tree.
+
+    Args:
+        topology: with the tree that was grown.
+        connections, loads: parts of the mechanism, each by name.
+    """
     for name in topology.closing:
         if drive_of(connections[name].joint) is not None:
             raise ValueError(
@@ -430,25 +446,31 @@ def check_tree(topology: Topology, connections: dict, loads: dict) -> None:
 def check_start(
     topology: Topology, bodies: dict, connections: dict, places: dict, speeds: dict
 ) -> None:
-    """Starting coordinates (`places`: "start" and "guess" of a mechanism) and speeds must be given
-    for what has some, in the right number."""
+    """Raises `ValueError` for starting values of what has no coordinates, or in a wrong number.
+
+    Args:
+        topology: with the motors.
+        bodies, connections: parts of the mechanism, each by name.
+        places: coordinates under "start" and "guess", each by name.
+        speeds: by name.
+    """
     present = tuple(branch.name for branch in topology.branches if branch.motor)
     for what, place in places.items():
         for name, values in place.items():
-            joint = _with_coordinates(what, name, bodies, connections, present)
+            joint = _find_joint_with_coordinates(what, name, bodies, connections, present)
             try:
                 joint.start(values)
             except ValueError as error:
                 raise ValueError(f'{what} of "{name}" {error}') from None
     for name, values in speeds.items():
-        joint = _with_coordinates("speeds", name, bodies, connections, present)
+        joint = _find_joint_with_coordinates("speeds", name, bodies, connections, present)
         width = len(joint.columns(joint.home))
         if len(values) != width:
             many = f"{width} number{'s' * (width != 1)}"
             raise ValueError(f'speeds of "{name}" need {many}, not {len(values)}.')
 
 
-def _with_coordinates(
+def _find_joint_with_coordinates(
     what: str, name: str, bodies: dict, connections: dict, values: tuple[str, ...]
 ) -> AbstractJoint:
     if name in values:
@@ -475,7 +497,13 @@ ROUNDING = 1e-9
 
 
 def check_couplings(couplings: dict, topology: Topology, bodies: dict, connections: dict) -> None:
-    """Raises `ValueError` for a coupling of joints that there are not, or that do not fit."""
+    """Raises `ValueError` for a coupling of joints that there are not, or that do not fit.
+
+    Args:
+        couplings: by name.
+        topology: which joints the tree carries.
+        bodies, connections: parts of the mechanism, each by name.
+    """
     _warn_of_locks(couplings)
     for name, coupling in couplings.items():
         if name in connections and (name in topology.couplings or coupling.motor is None):
@@ -564,7 +592,7 @@ def _check_forces(
     """That the joints of a coupling that is a force have one coordinate each, one of them at least
     free, and its motors are there."""
     check_user_load(name, coupling)
-    values, driven = _motors(bodies, connections, couplings), []
+    values, driven = _check_motor_names(bodies, connections, couplings), []
     for place in coupling.coordinates():
         if place not in coupling.joints():
             check_name("motor", place, values, f' for coupling "{name}"')

@@ -43,7 +43,7 @@ _ON_NUMBERS: dict[str, Callable] = {
 
 
 @rule("add", "add_any", "sub", "mul", "div", "rem")
-def _arithmetic(writer, equation, a, b):
+def _write_arithmetic(writer, equation, a, b):
     name, kind = equation.primitive.name, kinds_of(equation)[0]
 
     def one(x, y):
@@ -77,7 +77,7 @@ def _guarded_quotient(writer, name, x, y):
 
 
 @rule("neg")
-def _negate(writer, equation, a):
+def _write_negation(writer, equation, a):
     kind = kinds_of(equation)[0]
 
     def one(x):
@@ -93,13 +93,13 @@ def _negate(writer, equation, a):
 
 
 @rule("max", "min")
-def _extremum(writer, equation, a, b):
+def _write_extremum(writer, equation, a, b):
     name, kind = equation.primitive.name, kinds_of(equation)[0]
     return each(lambda x, y: combine(writer, name, kind, x, y), a, b)
 
 
 @rule("clamp")
-def _clamp(writer, equation, low, a, high):
+def _write_clamp(writer, equation, low, a, high):
     kind = kind_of(equation.invars[1].aval.dtype)
 
     def one(lo, x, hi):
@@ -123,7 +123,14 @@ _COMPARISONS = {
 
 
 def compare(writer: Writer, name: str, kind: str, x: Any, y: Any) -> Any:
-    """The truth value of a comparison, named as the primitive ("lt")."""
+    """The truth value of a comparison of two numbers.
+
+    Args:
+        writer: LLVM text under construction.
+        name: of JAX's primitive, such as "lt".
+        kind: of both numbers: `FLOAT`, `INT` or `TRUTH`.
+        x, y: register names or Python numbers; of two numbers the result is a Python bool.
+    """
     floats, wholes, numbers = _COMPARISONS[name]
     if is_num(x, y):
         return bool(numbers(x, y))
@@ -136,7 +143,7 @@ def compare(writer: Writer, name: str, kind: str, x: Any, y: Any) -> Any:
 
 
 @rule(*_COMPARISONS)
-def _compare(writer, equation, a, b):
+def _write_comparison(writer, equation, a, b):
     kind = kinds_of(equation)[0]
     if kind == TRUTH and equation.primitive.name not in ("eq", "ne"):
         raise Unsupported("an order of truth values")
@@ -148,7 +155,7 @@ _BITS = {np.dtype(np.float64): FLOAT, np.dtype(np.int64): INT, np.dtype(np.uint6
 
 
 @rule("bitcast_convert_type")
-def _bits(writer, equation, a):
+def _write_bitwise(writer, equation, a):
     old, new = equation.invars[0].aval.dtype, np.dtype(equation.params["new_dtype"])
     if old not in _BITS or new not in _BITS:
         raise Unsupported(f"the bits of numbers of type {old} as {new}")
@@ -166,7 +173,7 @@ def _bits(writer, equation, a):
 
 
 @rule("and", "or", "xor")
-def _logic(writer, equation, a, b):
+def _write_logic(writer, equation, a, b):
     dtype, name = equation.invars[0].aval.dtype, equation.primitive.name
     kind = INT if dtype == np.uint64 else kinds_of(equation)[0]
 
@@ -179,7 +186,7 @@ def _logic(writer, equation, a, b):
 
 
 @rule("not")
-def _not(writer, equation, a):
+def _write_not(writer, equation, a):
     kind = kinds_of(equation)[0]
     if kind != TRUTH:
         raise Unsupported("the complement of whole numbers")
@@ -189,7 +196,7 @@ def _not(writer, equation, a):
 
 
 @rule("select_n")
-def _select(writer, equation, which, *cases):
+def _write_selection(writer, equation, which, *cases):
     kind = kind_of(equation.outvars[0].aval.dtype)
     if len(cases) != 2 or kind_of(equation.invars[0].aval.dtype) != TRUTH:
         raise Unsupported("a choice among more than two")
@@ -197,7 +204,7 @@ def _select(writer, equation, which, *cases):
 
 
 @rule("convert_element_type")
-def _convert(writer, equation, a):
+def _write_conversion(writer, equation, a):
     old, new = kinds_of(equation)[0], kind_of(equation.params["new_dtype"])
     wide_old, wide_new = writer.wide(old), writer.wide(new)
 
@@ -233,7 +240,17 @@ def _to_int(writer, x):
 
 
 def combine(writer: Writer, name: str, kind: str, x: Any, y: Any) -> Any:
-    """Sum, product, extremum, and, or of two numbers."""
+    """Two numbers combined as a reduction does.
+
+    Args:
+        writer: LLVM text under construction.
+        name: of the reduction: "sum", "prod", "max", "min", "and", "or".
+        kind: of both numbers: `FLOAT`, `INT` or `TRUTH`.
+        x, y: register names or Python numbers.
+
+    Raises:
+        Unsupported: there is no such reduction of this kind.
+    """
     if kind == FLOAT and name in ("sum", "prod"):
         if is_num(x, y):
             return x + y if name == "sum" else x * y
@@ -265,7 +282,7 @@ _NEUTRAL = {"sum": 0, "prod": 1, "and": True, "or": False, "max": -math.inf, "mi
 
 
 @rule("reduce_sum", "reduce_prod", "reduce_max", "reduce_min", "reduce_and", "reduce_or")
-def _reduce(writer, equation, a):
+def _write_reduction(writer, equation, a):
     name, kind = (
         equation.primitive.name.removeprefix("reduce_"),
         kind_of(equation.invars[0].aval.dtype),
@@ -290,7 +307,7 @@ def _reduce(writer, equation, a):
 
 
 @rule("dot_general")
-def _dot(writer, equation, a, b):
+def _write_dot_product(writer, equation, a, b):
     (lhs, right), (batch_lhs, batch_right) = equation.params["dimension_numbers"]
     if kind_of(equation.outvars[0].aval.dtype) != FLOAT:
         raise Unsupported("a product of whole matrices")

@@ -66,13 +66,24 @@ Turn = Callable[[list], np.ndarray]
 
 
 def check(program: Program, kernel: Turn, reference: Turn, other: str = "JAX") -> None:
-    """One turn of a kernel on random numbers, compared with another evaluation of it, which is
-    called `other`. Raises `Unsupported` where they differ.
+    """Compares one turn of a kernel on random numbers with another evaluation of it.
 
     Where a difference of like numbers is exactly zero in one order of operations and rounding in
-    the other, a choice or a quotient that hangs on it differs wholly. That does not recur: one
-    draw may disagree where two tell and agree, and a fault shows in others too. States of either
-    sign may be none that the loop was written for: there one draw that agrees outweighs the others.
+    the
+    other, a choice or quotient that depends on it may differ. That does not recur: one draw may
+    disagree
+    where two agree conclusively; a fault shows in several. States with entries of either sign may
+    be
+    impossible for the loop: among these one draw that agrees outweighs the others.
+
+    Args:
+        program: the loop, its condition and body as JAX programs.
+        kernel: one turn by machine code: an array (samples, numbers) from a list of samples.
+        reference: the same by the other evaluation.
+        other: name of the other evaluation in the message.
+
+    Raises:
+        Unsupported: they differ.
     """
     looks: list[tuple[Judgement, bool]] = []
     for draw in DRAWS:
@@ -94,7 +105,13 @@ class Judgement(NamedTuple):
 
 
 def compared(program: Program, kernel: Turn, reference: Turn, draw: int) -> tuple[Judgement, bool]:
-    """The kernel on a draw's random numbers, beside the other evaluation."""
+    """The judgement of a kernel on one draw: by samples of usual size, and by all others.
+
+    Args:
+        program: the loop, its condition and body as JAX programs.
+        kernel, reference: one turn by machine code and by the other evaluation.
+        draw: number of the draw, which is its seed.
+    """
     constants, state = avals_of(program)
     samples = [_within_tables(program, sample) for sample in random_values(constants, state, draw)]
     results = kernel(samples)
@@ -103,7 +120,7 @@ def compared(program: Program, kernel: Turn, reference: Turn, draw: int) -> tupl
     before = np.array([packed(s[len(constants) :]) for s in samples])
     first[:, : before.shape[1]] = before
     # What a turn leaves of a long array as it was tells nothing.
-    long = np.repeat([i in program.long for i in range(len(state))], list(map(_size, state)))
+    long = np.repeat([i in program.long for i in range(len(state))], list(map(_floats_of, state)))
     is_compared = np.any((expected != first) | (results != first), axis=0)
     is_compared[: len(long)] |= ~long
     parts = [(a[:1, is_compared], a[1:, is_compared]) for a in (results, expected, changed, first)]
@@ -136,15 +153,15 @@ def turn_by_jax(program: Program, samples: list) -> np.ndarray:
 def evaluated(program: ClosedJaxpr, arguments: Sequence[Any]) -> list:
     """A program's results, one of JAX's operations after the other: nothing of the rules, and no
     loop without an end."""
-    return replayed(program, arguments, _one)
+    return replayed(program, arguments, _apply_exactly)
 
 
-def _one(equation: Any, inputs: list) -> Sequence[Any]:
+def _apply_exactly(equation: Any, inputs: list) -> Sequence[Any]:
     name, p = equation.primitive.name, equation.params
     if name == "cond":
         return evaluated(p["branches"][int(inputs[0])], inputs[1:])
     if name == "scan":
-        return _scan(p, inputs)
+        return _evaluate_scan(p, inputs)
     if name == "while":
         first, second = p["cond_nconsts"], p["cond_nconsts"] + p["body_nconsts"]
         state = inputs[second:]
@@ -161,7 +178,7 @@ def _one(equation: Any, inputs: list) -> Sequence[Any]:
     return applied(equation, inputs, p)
 
 
-def _scan(p: dict, inputs: list) -> list:
+def _evaluate_scan(p: dict, inputs: list) -> list:
     fixed, carried = scan_counts(p)
     carry, rows, outputs = inputs[fixed:][:carried], inputs[fixed + carried :], []
     turns = range(p["length"])
@@ -173,27 +190,33 @@ def _scan(p: dict, inputs: list) -> list:
     return [*carry, *[jnp.stack(parts) for parts in zip(*outputs, strict=True)]]
 
 
-def _size(aval: Any) -> int:
+def _floats_of(aval: Any) -> int:
     return floats_in([aval])
 
 
 def turn_by_kernel(program: Program, address: int, samples: list) -> np.ndarray:
-    """What a turn gives, by the kernel at an address, which takes but one."""
+    """Results of one turn of a compiled kernel, an array (samples, numbers).
+
+    Args:
+        program: the loop, its condition and body as JAX programs.
+        address: of the kernel's function in this process; it must take one turn only.
+        samples: for each the arrays of constants and state.
+    """
     is_long = in_memory(program)
     rows = [packed([v for v, k in zip(s, is_long, strict=True) if not k]) for s in samples]
     flat = np.ascontiguousarray(rows)
     big = [np.ascontiguousarray([s[i] for s in samples]) for i, k in enumerate(is_long) if k]
     out = np.zeros((len(samples), floats_in(packed_state(program))))
-    long = [np.zeros((len(samples), _size(aval))) for aval in changing(program)]
+    long = [np.zeros((len(samples), _floats_of(aval))) for aval in changing(program)]
     tables = [
-        np.zeros((len(samples), table.height, _size(aval)))
+        np.zeros((len(samples), table.height, _floats_of(aval)))
         for table, aval in zip(program.tables, row_of(program), strict=True)
     ]
     big += [*long, *tables]
     data = (ctypes.c_void_p * (1 + len(big)))(flat.ctypes.data, *[b.ctypes.data for b in big])
     call = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int64)
     call(address)(ctypes.cast(data, ctypes.c_void_p), out.ctypes.data, len(samples))
-    short = np.split(out, np.cumsum(list(map(_size, packed_state(program))))[:-1], axis=1)
+    short = np.split(out, np.cumsum(list(map(_floats_of, packed_state(program))))[:-1], axis=1)
     parts = {i: each for each, i in zip(long, sorted(program.long), strict=True)}
     others = (i for i in range(len(avals_of(program)[1])) if i not in program.long)
     parts |= dict(zip(others, short, strict=False))
@@ -221,7 +244,12 @@ def _first_row(table: Table, row: Any, constants: list[np.ndarray]) -> Any:
 
 
 def random_values(constants: list, state: list, draw: int) -> list[list[np.ndarray]]:
-    """For each sample of a draw a value of each shape and type."""
+    """Random values for each sample of a draw, of every size in `SIZES`.
+
+    Args:
+        constants, state: shapes and types of the loop's inputs.
+        draw: number of the draw; those in `SIGNED` have entries of either sign.
+    """
     rng = np.random.default_rng(draw)
 
     def one(aval):
@@ -258,8 +286,14 @@ def nudged(sample: list[np.ndarray]) -> list[np.ndarray]:
 def judged(
     results: np.ndarray, expected: np.ndarray, changed: np.ndarray, first: np.ndarray
 ) -> Judgement:
-    """What a kernel found, beside what is wanted, as far as `changed` (for nudged numbers) lets one
-    tell. `first` is what the turn began with: a sum that cancels it rounds like it."""
+    """Whether results agree with the expected ones, and whether half of them are conclusive.
+
+    Args:
+        results: of the kernel, shape (samples, numbers).
+        expected: of the reference, same shape.
+        changed: of the reference for slightly changed inputs, which measures rounding.
+        first: values before the turn: a sum that cancels them rounds as they do.
+    """
     with np.errstate(all="ignore"):
         # Where numbers overflow, inf or nan is a matter of the order of operations.
         finite = np.isfinite(expected) & np.isfinite(changed)

@@ -160,7 +160,7 @@ def _find(function: Callable, options: dict[str, Any], leaves: list, tree: Any) 
     """The program of such arguments; None where it is JAX's to keep."""
     if not _is_cache_usable():
         return None
-    kinds = tuple(_kind_of(x) if eqx.is_array(x) else (type(x), x) for x in leaves)
+    kinds = tuple(_type_of_array(x) if eqx.is_array(x) else (type(x), x) for x in leaves)
     settings = tuple(getattr(jax.config, name) for name in SETTINGS)
     form = function, tuple(options), tree, kinds, settings
     program = _AT_HAND.get(form)
@@ -170,7 +170,7 @@ def _find(function: Callable, options: dict[str, Any], leaves: list, tree: Any) 
     return program
 
 
-def _kind_of(array: Any) -> Any:
+def _type_of_array(array: Any) -> Any:
     # What `jax.typeof` answers of JAX's own arrays, without asking which kind of thing they are.
     return array.aval if isinstance(array, jax.Array) else jax.typeof(array)
 
@@ -189,8 +189,8 @@ def _load_or_compile(
     function: Callable, options: dict[str, Any], leaves: list, tree: Any
 ) -> _Compiled:
     key = _key(function, options, leaves, tree)
-    program = None if key is None else _from_disk(key)
-    return _compiled(function, options, leaves, tree, key) if program is None else program
+    program = None if key is None else _load_from_disk(key)
+    return _compile(function, options, leaves, tree, key) if program is None else program
 
 
 def _key(function: Callable, options: dict[str, Any], leaves: list, tree: Any) -> str | None:
@@ -209,7 +209,7 @@ def _key(function: Callable, options: dict[str, Any], leaves: list, tree: Any) -
     return cache_folder.key_of(*description, *kinds, around)
 
 
-def _compiled(function: Callable, options: dict, leaves: list, tree: Any, key: Any) -> _Compiled:
+def _compile(function: Callable, options: dict, leaves: list, tree: Any, key: Any) -> _Compiled:
     """Traces and compiles a program, and leaves it on disk under its key, if it has one."""
     form: list[Any] = []
 
@@ -222,9 +222,9 @@ def _compiled(function: Callable, options: dict, leaves: list, tree: Any, key: A
 
     flat.__name__ = flat.__qualname__ = getattr(function, "__name__", "program")
     arrays = [leaf for leaf in leaves if eqx.is_array(leaf)]
-    with uncollected(), _reported_if_long(function):
+    with uncollected(), _report_if_long(function):
         traced = jax.jit(flat).trace(*arrays)
-        lowered, places = _lowered(traced, arrays, flat.__name__)
+        lowered, places = _lower_without_copies(traced, arrays, flat.__name__)
         place_iterator, (out, structure) = iter(places), form
         out = [next(place_iterator) if eqx.is_array(leaf) else leaf for leaf in out]
         lapack = verdicts.any_lapack(lowered.compiler_ir().operation)
@@ -234,7 +234,7 @@ def _compiled(function: Callable, options: dict, leaves: list, tree: Any, key: A
     if key is None or _count_cache_hits() > before:
         return made
     try:
-        content = pickle.dumps((_packed(made), lapack, count, verdicts.SENTENCES))
+        content = pickle.dumps((_serialise(made), lapack, count, verdicts.SENTENCES))
     except Exception:
         # Not every program can be kept: one that calls back into Python, for one.
         return made
@@ -243,7 +243,7 @@ def _compiled(function: Callable, options: dict, leaves: list, tree: Any, key: A
 
 
 @contextmanager
-def _reported_if_long(function: Callable) -> Iterator[None]:
+def _report_if_long(function: Callable) -> Iterator[None]:
     """What is compiled within, said where it takes longer than `PATIENCE`: who waits does not know
     for what."""
     what = (function.__doc__ or function.__name__).strip().partition("\n")[0]
@@ -261,7 +261,7 @@ _HITS = threading.local()
 
 
 @functools.cache
-def _listens() -> None:
+def _start_counting_hits() -> None:
     """This process counts what JAX finds on disk, by threads."""
 
     def count(event: str, **_: Any) -> None:
@@ -273,15 +273,15 @@ def _listens() -> None:
 
 def _count_cache_hits() -> int:
     """How many programs JAX has found on disk in this thread."""
-    _listens()
+    _start_counting_hits()
     return getattr(_HITS, "count", 0)
 
 
-def _lowered(traced: Any, arrays: list, name: str) -> tuple[Any, list[Place]]:
+def _lower_without_copies(traced: Any, arrays: list, name: str) -> tuple[Any, list[Place]]:
     """A traced program, lowered without the results that are its arguments as they were given, and
     where each result is then."""
     results = traced.jaxpr.jaxpr.outvars
-    origins = [_origin(traced.jaxpr.jaxpr, result) for result in results]
+    origins = [_argument_of_result(traced.jaxpr.jaxpr, result) for result in results]
     # Numbers that come from NumPy are JAX's by being results.
     origins = [x if x is None or isinstance(arrays[x], jax.Array) else None for x in origins]
     computed = [i for i, origin in enumerate(origins) if origin is None]
@@ -305,7 +305,7 @@ def _lowered(traced: Any, arrays: list, name: str) -> tuple[Any, list[Place]]:
 _WITHIN = {columns_p.name: "program", "custom_jvp_call": "call_jaxpr", "jit": "jaxpr"}
 
 
-def _origin(program: Jaxpr, result: Any) -> int | None:
+def _argument_of_result(program: Jaxpr, result: Any) -> int | None:
     """The number of the argument that a result of a program is; None where it is worked out."""
     if isinstance(result, Literal):
         return None
@@ -319,18 +319,18 @@ def _origin(program: Jaxpr, result: Any) -> int | None:
         if within is None or step.params.get("moving") or step.params.get("maps"):
             return None
         inner = step.params[within].jaxpr
-        number = _origin(inner, inner.outvars[step.outvars.index(result)])
-        return None if number is None else _origin(program, step.invars[number])
+        number = _argument_of_result(inner, inner.outvars[step.outvars.index(result)])
+        return None if number is None else _argument_of_result(program, step.invars[number])
     return None
 
 
-def _packed(program_found: _Compiled) -> tuple[bytes, int, int, Any]:
+def _serialise(program_found: _Compiled) -> tuple[bytes, int, int, Any]:
     program, inputs, taken = serialize_executable.serialize(program_found.program)
     result = jax.tree.unflatten(program_found.structure, program_found.leaves)
     return program, inputs.num_leaves, taken.num_leaves, result
 
 
-def _from_disk(key: str) -> _Compiled | None:
+def _load_from_disk(key: str) -> _Compiled | None:
     content = cache_folder.read(cache_folder.PROGRAM, key)
     if content is None:
         return None
@@ -338,7 +338,7 @@ def _from_disk(key: str) -> _Compiled | None:
         (program, args, taken, result), lapack, count, sentences = pickle.load(io.BytesIO(content))
         dispatch.register_with_xla()
         if lapack:
-            _begin_lapack()
+            _initialise_lapack()
         trees = jax.tree.structure(((0,) * args, {})), jax.tree.structure([0] * taken)
         loaded = serialize_executable.deserialize_and_load(program, *trees)
     except Exception:
@@ -349,7 +349,7 @@ def _from_disk(key: str) -> _Compiled | None:
 
 
 @functools.cache
-def _begin_lapack() -> None:
+def _initialise_lapack() -> None:
     """jaxlib finds LAPACK when the first program that calls it is lowered, which one that is loaded
     is not."""
     jax.jit(jnp.linalg.cholesky).lower(jnp.eye(2))
@@ -368,19 +368,19 @@ def kernels_or(soon: Callable[..., Any], usual: Callable[..., Any]) -> Callable[
 
     @functools.wraps(usual)
     def call(*arguments):
-        if refused and _kind(arguments) in refused:
+        if refused and _kind_of_arguments(arguments) in refused:
             return usual(*arguments)
         try:
             with only_kernels():
                 return soon(*arguments)
         except NoKernel:
-            refused.add(_kind(arguments))
+            refused.add(_kind_of_arguments(arguments))
         return usual(*arguments)
 
     return call
 
 
-def _kind(arguments: Any) -> Any:
+def _kind_of_arguments(arguments: Any) -> Any:
     """What of arguments decides which program they are compiled to."""
     leaves, structure = jax.tree.flatten(arguments)
     shapes = (jax.typeof(x) if eqx.is_array(x) else x for x in leaves)

@@ -35,7 +35,15 @@ MOST_TURNS = 10_000
 
 
 def phi(writer: Writer, name: str, kind: str, values: tuple, blocks: tuple[str, str]) -> str:
-    """A register that is the first value when coming from the first block, else the second."""
+    """Line of code for a register that depends on the block from which control comes.
+
+    Args:
+        writer: LLVM text under construction.
+        name: of the register.
+        kind: of its numbers: `FLOAT`, `INT` or `TRUTH`.
+        values: its values when coming from the first and from the second block.
+        blocks: labels of the two blocks.
+    """
     (old, new), (before, last) = values, blocks
     return (
         f"  {name} = phi {writer.wide(kind)} [ {writer.text(old, kind)}, %{before} ], "
@@ -44,7 +52,13 @@ def phi(writer: Writer, name: str, kind: str, values: tuple, blocks: tuple[str, 
 
 
 def phi_of_turns(turn: str, following: str, blocks: tuple[str, str]) -> str:
-    """A count of turns: 0 when coming from the first block, else the following one."""
+    """Line of code for a counter of turns: 0 when coming from the first block, else `following`.
+
+    Args:
+        turn: register of the counter.
+        following: register with the counter plus one.
+        blocks: labels of the two blocks.
+    """
     return f"  {turn} = phi i64 [ 0, %{blocks[0]} ], [ {following}, %{blocks[1]} ]"
 
 
@@ -57,12 +71,21 @@ def loop(
     outermost: bool = False,
     together: bool = False,
 ) -> list:
-    """A while loop over arrays of registers and changing ones in memory: every sample stops by
-    itself, the loop ends with the last one; `together`: all take the same turns, which the state's
-    first number counts.
+    """Writes a while loop over arrays of registers, and of changing ones in memory.
 
-    The `outermost` one, and a time loop within it, looks at the flag that stops all kernels: the
-    unfinished becomes nan.
+    Every sample stops by itself; the loop ends with the last one.
+
+    Args:
+        writer: LLVM text under construction.
+        condition: function of the state that writes the test and returns its register.
+        body: function of the state that writes a turn and returns the new state.
+        carry: first state, arrays of registers or in memory.
+        kinds: of each array: `FLOAT`, `INT` or `TRUTH`.
+            outermost: whether it, and a time loop within it, reads the flag that stops all kernels;
+            then
+            what is unfinished becomes nan.
+            together: whether all samples take the same turns, which the first number of the state
+            counts.
     """
     # A turn may change them, so that as they were before the loop they can be read no more.
     rooms = carried_in_memory(writer, carry, kinds)
@@ -71,7 +94,7 @@ def loop(
         for a, buffer in zip(carry, rooms, strict=True)
     ]
     head, inside, behind = (writer.fresh(word)[1:] for word in ("head", "inside", "behind"))
-    flat = _numbers(carry, kinds, long)
+    flat = _register_entries(carry, kinds, long)
     start = writer.lane(flat[0][0], INT, 0) if together else "0"
     before = writer.block
     writer.say(f"br label %{head}")
@@ -79,18 +102,18 @@ def loop(
     registers, places = [writer.fresh("s") for _ in flat], len(writer.lines)
     turn = writer.fresh("turn")
     region, outer = writer.enter(), writer.active
-    state = _of_the_turn(writer, registers, turn, start) if together else registers
-    truth = condition(_shaped(state, carry, long))
-    go, truth, stopped = _bounded(writer, truth, turn, outermost)
+    state = _state_of_turn(writer, registers, turn, start) if together else registers
+    truth = condition(_shape_like(state, carry, long))
+    go, truth, stopped = _write_loop_test(writer, truth, turn, outermost)
     writer.say(f"br i1 {go}, label %{inside}, label %{behind}")
     writer.start(inside)
     writer.active = truth if writer.lanes > 1 and not together else None
     writer.depth += 1
-    after = body(_shaped(state, carry, long))
+    after = body(_shape_like(state, carry, long))
     writer.depth -= 1
     put_back(writer, rooms, after)
-    long = [_same_place(writer, *pair) for pair in zip(long, after, strict=True)]
-    entries = _numbers(after, kinds, long)
+    long = [_require_same_memory(writer, *pair) for pair in zip(long, after, strict=True)]
+    entries = _register_entries(after, kinds, long)
     if writer.active is not None:
         pairs = zip(entries, registers, strict=True)
         entries = [(writer.choose(truth, new, old, kind), kind) for (new, kind), old in pairs]
@@ -102,17 +125,17 @@ def loop(
     writer.lines[places:places] = [*phis, phi_of_turns(turn, following, ends)]
     writer.say(f"br label %{head}")
     writer.start(behind)
-    long = [_spoilt_entries(writer, stopped, array) for array in long]
-    return _shaped(_spoilt(writer, stopped, registers, flat), carry, long)
+    long = [_nan_where_stopped(writer, stopped, array) for array in long]
+    return _shape_like(_results_of_stopped_loop(writer, stopped, registers, flat), carry, long)
 
 
-def _numbers(arrays: Any, kinds: list[str], long: list[Any]) -> list[tuple[Any, str]]:
+def _register_entries(arrays: Any, kinds: list[str], long: list[Any]) -> list[tuple[Any, str]]:
     """(value, kind) of all entries of arrays that do not stand in memory, as `long` ones do."""
     each = zip(arrays, kinds, long, strict=True)
     return [(value, k) for a, k, part in each if part is None for value in in_registers(a).flat]
 
 
-def _same_place(writer: Writer, before: Any, after: Any) -> InMemory | Long | None:
+def _require_same_memory(writer: Writer, before: Any, after: Any) -> InMemory | Long | None:
     """An array in memory as a turn leaves it. Raises `Unsupported` for another one."""
     if isinstance(before, Long):
         return before
@@ -126,7 +149,7 @@ def _same_place(writer: Writer, before: Any, after: Any) -> InMemory | Long | No
     return after.reshaped(before.shape)
 
 
-def _spoilt_entries(writer: Writer, stopped: Any, array: Any) -> Any:
+def _nan_where_stopped(writer: Writer, stopped: Any, array: Any) -> Any:
     """An array that a loop leaves, nan where it was stopped."""
     if stopped is None or not isinstance(array, Long) or array.kind != FLOAT:
         return array
@@ -138,13 +161,13 @@ def _spoilt_entries(writer: Writer, stopped: Any, array: Any) -> Any:
     return Long(array.shape, FLOAT, entry)
 
 
-def _of_the_turn(writer, registers, turn, start):
+def _state_of_turn(writer, registers, turn, start):
     """The state of samples that take the same turns, the first of which has the number `start`."""
     writer.turn = writer.put(f"add i64 {start}, {turn}")
     return [writer.spread(writer.turn, INT), *registers[1:]]
 
 
-def _shaped(values, like, long):
+def _shape_like(values, like, long):
     """Single values as arrays of the shapes of others, `long` ones among them."""
     values, out = iter(values), []
     for array, long_array in zip(like, long, strict=True):
@@ -157,7 +180,7 @@ def _shaped(values, like, long):
     return out
 
 
-def _bounded(writer, truth, turn, outermost):
+def _write_loop_test(writer, truth, turn, outermost):
     """Whether to go on, each sample's truth, and (of the outermost loop) whether it was stopped."""
     if writer.checked and outermost:
         return writer.put(f"icmp slt i64 {turn}, 1"), writer.text(True, TRUTH), None
@@ -175,7 +198,7 @@ def _bounded(writer, truth, turn, outermost):
     return writer.put(f"and i1 {go}, {onward}"), truth, stopped
 
 
-def _spoilt(writer, stopped, registers, flat):
+def _results_of_stopped_loop(writer, stopped, registers, flat):
     """What a loop leaves: nan where it was stopped, which nobody takes for an answer."""
     if stopped is None:
         return registers
@@ -189,7 +212,7 @@ def _spoilt(writer, stopped, registers, flat):
 
 
 @rule(*CALLS, reads_memory=True)
-def _call(writer, equation, *arguments):
+def _write_call(writer, equation, *arguments):
     return write_closed(writer, called(equation.params), arguments)
 
 
@@ -200,7 +223,7 @@ def is_an_error(parameters: dict) -> bool:
 
 
 @rule("pure_callback")
-def _raise(writer, equation, *arguments):
+def _write_error_guard(writer, equation, *arguments):
     """A kernel cannot raise. What an error guards becomes nan, as Equinox has it where it may not
     raise either."""
     if not is_an_error(equation.params):
@@ -222,7 +245,7 @@ SHORTEST_MAP = 12
 
 
 @rule("cond", reads_memory=True)
-def _cond(writer, equation, which, *arguments):
+def _write_cond(writer, equation, which, *arguments):
     branches = equation.params["branches"]
     if len(branches) != 2:
         raise Unsupported("a choice among more than two")
@@ -239,7 +262,7 @@ def _cond(writer, equation, which, *arguments):
 
 
 @rule("scan", reads_memory=True)
-def _scan(writer, equation, *arguments):
+def _write_scan(writer, equation, *arguments):
     p = equation.params
     constants, carried = scan_counts(p)
     fixed, carry, rows = (
@@ -261,7 +284,7 @@ def _scan(writer, equation, *arguments):
     large = p["length"] * size_of(p["jaxpr"]) > LARGEST_WRITTEN_OUT
     large |= p["length"] * numbers_in(p["jaxpr"]) > MOST_NUMBERS
     if as_a_loop and (long or large):
-        return _counted_loop(writer, p["jaxpr"], fixed, carry, rows, p["length"], kinds)
+        return _write_counted_loop(writer, p["jaxpr"], fixed, carry, rows, p["length"], kinds)
     if long:
         raise Unsupported("a long scan inside the loop")
     collected: list[list] = []
@@ -281,7 +304,7 @@ def _scan(writer, equation, *arguments):
     ]
 
 
-def _counted_loop(writer, body, fixed, carry, rows, length, kinds):
+def _write_counted_loop(writer, body, fixed, carry, rows, length, kinds):
     """A scan as a loop: every sample takes all turns; a row is chosen by the turn's number."""
     head, behind = writer.fresh("turns")[1:], writer.fresh("done")[1:]
     carried = kinds[len(fixed) :][: len(carry)]
@@ -297,7 +320,7 @@ def _counted_loop(writer, body, fixed, carry, rows, length, kinds):
     ]
     region = writer.enter()
     picked = [
-        _row_of_the_turn(writer, row, turn, kind)
+        _choose_row(writer, row, turn, kind)
         for row, kind in zip(rows, kinds[len(fixed) + len(carry) :], strict=True)
     ]
     results = write_closed(writer, body, [*fixed, *state, *picked])
@@ -320,7 +343,7 @@ def _counted_loop(writer, body, fixed, carry, rows, length, kinds):
     return results
 
 
-def _row_of_the_turn(writer, row, turn, kind):
+def _choose_row(writer, row, turn, kind):
     """row[turn], chosen among all rows."""
 
     def one(*options):
@@ -337,7 +360,7 @@ def _row_of_the_turn(writer, row, turn, kind):
 
 
 @rule("while", reads_memory=True)
-def _while(writer, equation, *arguments):
+def _write_while(writer, equation, *arguments):
     p = equation.params
     if writer.leaves_rows and writer.depth < 2:
         # One of a library's, with tangents: no check sees through it to its end.
@@ -347,11 +370,11 @@ def _while(writer, equation, *arguments):
 
 
 @rule("jaxclear_loop", reads_memory=True)
-def _time_loop(writer, equation, *arguments):
+def _write_time_loop(writer, equation, *arguments):
     """A loop of this room within another one: as that, it ends when all kernels are stopped."""
     program, rank = equation.params["program"], equation.params["rank"]
     if program.single_turn and rank == 1 and all(isinstance(a, np.ndarray) for a in arguments):
-        return _row_by_row(writer, program, arguments, equation.outvars)
+        return _write_row_by_row(writer, program, arguments, equation.outvars)
     if rank or program.length:
         raise Unsupported("a batch of loops within a loop")
     if program.single_turn:
@@ -361,7 +384,7 @@ def _time_loop(writer, equation, *arguments):
     return _inner_loop(writer, equation, programs, counts, arguments, outermost=True)
 
 
-def _row_by_row(writer, program, arguments, outvars):
+def _write_row_by_row(writer, program, arguments, outvars):
     """A function of each of few rows, written out for one after the other."""
     rows = []
     for k in range(outvars[0].aval.shape[0]):

@@ -42,7 +42,7 @@ def without_the_unasked(function: Any, *numbers: Any) -> list:
     """As `function(*numbers)`, a list of arrays, without what these do not need."""
     program = jax.make_jaxpr(function)(*numbers)
     jaxpr, _ = pe.dce_jaxpr(program.jaxpr, True, instantiate=True)
-    return jaxpr_as_fun(_closed(jaxpr, program))(*numbers)
+    return jaxpr_as_fun(_close_jaxpr(jaxpr, program))(*numbers)
 
 
 def without_results(program: ClosedJaxpr, retained: Sequence[bool]) -> ClosedJaxpr:
@@ -50,7 +50,7 @@ def without_results(program: ClosedJaxpr, retained: Sequence[bool]) -> ClosedJax
     return _cut(program, retained, [True] * len(program.in_avals))
 
 
-def _closed(jaxpr: Jaxpr, like: ClosedJaxpr) -> ClosedJaxpr:
+def _close_jaxpr(jaxpr: Jaxpr, like: ClosedJaxpr) -> ClosedJaxpr:
     return ClosedJaxpr(jaxpr, like.consts)
 
 
@@ -62,25 +62,25 @@ def find_needs(program: Program, used: Sequence[bool]) -> Needs:
         return needed
     while True:
         # A derivative of its own asks for more where it is still to be taken.
-        needs = _trace_needs(motion, _of_motion(needed, motion).results)
+        needs = _trace_needs(motion, _needs_of_motion(needed, motion).results)
         pairs = zip(needed, needs, strict=True)
-        both = Needs(*([*_either(flags, more), *flags[len(more) :]] for flags, more in pairs))
+        both = Needs(*([*_or_each(flags, more), *flags[len(more) :]] for flags, more in pairs))
         if both == needed:
             return needed
         now = _trace_needs(program, both.results)
-        needed = Needs(*(_either(*each) for each in zip(both, now, strict=True)))
+        needed = Needs(*(_or_each(*each) for each in zip(both, now, strict=True)))
 
 
 def _trace_needs(program: Program, used: Sequence[bool]) -> Needs:
     c, b, count = program.condition_constants, program.body_constants, len(avals_of(program)[1])
     state, tables = list(used[:count]), list(used[count:])
     _, tests = pe.dce_jaxpr(program.condition.jaxpr, True)
-    state = _either(state, tests[c:])
+    state = _or_each(state, tests[c:])
     if program.length:
         state[0] = True  # it counts the turns
     while True:
         _, inputs = pe.dce_jaxpr(program.body.jaxpr, [*state, *tables])
-        now = _either(state, inputs[b:])
+        now = _or_each(state, inputs[b:])
         if now == state:
             break
         state = now
@@ -92,11 +92,11 @@ def _trace_needs(program: Program, used: Sequence[bool]) -> Needs:
     return Needs(list(tests[:c]), fixed, state, tables)
 
 
-def _either(these: Sequence[bool], those: Sequence[bool]) -> list[bool]:
+def _or_each(these: Sequence[bool], those: Sequence[bool]) -> list[bool]:
     return [a or b for a, b in zip(these, those, strict=False)]
 
 
-def _of_motion(needs: Needs, motion: Program) -> Needs:
+def _needs_of_motion(needs: Needs, motion: Program) -> Needs:
     """What of it is the motion's: that comes first everywhere."""
     return Needs(
         needs.of_condition,
@@ -108,8 +108,8 @@ def _of_motion(needs: Needs, motion: Program) -> Needs:
 
 def reduced(program: Program, needs: Needs) -> Program:
     """The loop with nothing but these. One within another is not asked for its motion alone."""
-    places = _places([*needs.of_body, *needs.state])
-    everywhere, of_state = _places(needs.inputs), _places(needs.state)
+    places = _new_positions([*needs.of_body, *needs.state])
+    everywhere, of_state = _new_positions(needs.inputs), _new_positions(needs.state)
     tables = [
         t._replace(places=places[t.places], start=None if t.start is None else places[t.start])
         for t, need in zip(program.tables, needs.tables, strict=True)
@@ -122,7 +122,7 @@ def reduced(program: Program, needs: Needs) -> Program:
         condition_constants=sum(needs.of_condition),
         body_constants=sum(needs.of_body),
         tangents=_renumber(program.tangents, places),
-        motion=None if motion is None else reduced(motion, _of_motion(needs, motion)),
+        motion=None if motion is None else reduced(motion, _needs_of_motion(needs, motion)),
         tables=tuple(tables),
         shared=_renumber(program.shared, everywhere),
         long=_renumber(program.long, of_state),
@@ -133,7 +133,7 @@ def _renumber(numbers: frozenset[int], places: dict[int, int]) -> frozenset[int]
     return frozenset(places[i] for i in numbers if i in places)
 
 
-def _places(mask: Sequence[bool]) -> dict[int, int]:
+def _new_positions(mask: Sequence[bool]) -> dict[int, int]:
     """Where what is kept stands afterwards."""
     return {old: new for new, old in enumerate(i for i, flag in enumerate(mask) if flag)}
 
@@ -141,10 +141,10 @@ def _places(mask: Sequence[bool]) -> dict[int, int]:
 def _cut(program: ClosedJaxpr, results: Sequence[bool], inputs: Sequence[bool]) -> ClosedJaxpr:
     jaxpr, used = pe.dce_jaxpr(program.jaxpr, results, instantiate=inputs)
     assert list(used) == list(inputs)
-    return _closed(jaxpr, program)
+    return _close_jaxpr(jaxpr, program)
 
 
-def _rule(used: list[bool], equation: Any) -> tuple[list[bool], Any]:
+def _drop_unused_outputs(used: list[bool], equation: Any) -> tuple[list[bool], Any]:
     if not any(used):
         return [False] * len(equation.invars), None
     program = equation.params["program"]
@@ -158,7 +158,7 @@ def _rule(used: list[bool], equation: Any) -> tuple[list[bool], Any]:
     if narrow is None:
         program = reduced(program, needs)
     else:
-        shared = _renumber(program.shared, _places(inputs))
+        shared = _renumber(program.shared, _new_positions(inputs))
         program = widened(_reduced_narrow(narrow, needs), narrow.tangents)._replace(shared=shared)
     select_needed = lambda values, needs: [v for v, w in zip(values, needs, strict=True) if w]
     return inputs, equation.replace(
@@ -181,4 +181,4 @@ def drop_by(primitive: Primitive, rule: Callable[[list[bool], Any], tuple]) -> N
     pe.dce_rules[primitive] = lambda used, *then: rule(used, then[-1])
 
 
-drop_by(loop_p, _rule)
+drop_by(loop_p, _drop_unused_outputs)

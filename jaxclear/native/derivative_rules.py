@@ -39,7 +39,7 @@ def the_same(axes: Sequence[int | None]) -> bool:
     return all(axis is None for axis in axes)
 
 
-def _product(*numbers: Any, columns: int, maps: tuple[Map, ...]) -> list:
+def _apply_columns(*numbers: Any, columns: int, maps: tuple[Map, ...]) -> list:
     """Columns times tangents."""
 
     def one(matrices, tangents):
@@ -54,13 +54,13 @@ def _product(*numbers: Any, columns: int, maps: tuple[Map, ...]) -> list:
 
 @applied_p.def_impl
 def _apply(*numbers, **params):
-    return jax.jit(functools.partial(_product, **params))(*numbers)
+    return jax.jit(functools.partial(_apply_columns, **params))(*numbers)
 
 
 @applied_p.def_abstract_eval
 def _shapes_applied(*avals, **params):
     shapes = [jax.ShapeDtypeStruct(a.shape, a.dtype) for a in avals]
-    result_shapes = jax.eval_shape(functools.partial(_product, **params), *shapes)
+    result_shapes = jax.eval_shape(functools.partial(_apply_columns, **params), *shapes)
     return [jax.core.ShapedArray(each.shape, each.dtype) for each in result_shapes]
 
 
@@ -72,11 +72,11 @@ def _batch_applied(numbers, dims, *, columns, maps):
 
 
 def _differentiate_applied(numbers, tangents, **params):
-    product = functools.partial(_product, **params)
+    product = functools.partial(_apply_columns, **params)
     return jax.jvp(product, list(numbers), list(map(ad.instantiate_zeros, tangents)))
 
 
-def _backwards(cotangents, *numbers, columns, maps):
+def _transpose_columns(cotangents, *numbers, columns, maps):
     """What the results' cotangents make of the tangents'."""
     heeded = [i for i, each in enumerate(cotangents) if not isinstance(each, ad.Zero)]
     tangents = numbers[columns:]
@@ -95,7 +95,7 @@ def _backwards(cotangents, *numbers, columns, maps):
 
     for batch_map in maps:
         axes = [batch_map.values[i] for i in heeded]
-        one = _gathered(jax.vmap(one, (axes, 0)), batch_map.tangents)
+        one = _sum_over_map(jax.vmap(one, (axes, 0)), batch_map.tangents)
     if not heeded:
         return [None] * len(numbers)
     products = one([numbers[i] for i in heeded], [cotangents[i] for i in heeded])
@@ -103,7 +103,7 @@ def _backwards(cotangents, *numbers, columns, maps):
     return [None] * columns + [f if u else None for f, u in zip(products, unknown, strict=True)]
 
 
-def _gathered(mapped: Callable, axes: Sequence[int | None]) -> Callable:
+def _sum_over_map(mapped: Callable, axes: Sequence[int | None]) -> Callable:
     """What a map gives backwards: a tangent that is the same for all hears the sum."""
 
     def function(*numbers):
@@ -114,9 +114,9 @@ def _gathered(mapped: Callable, axes: Sequence[int | None]) -> Callable:
 
 
 batching.primitive_batchers[applied_p] = _batch_applied
-mlir.register_lowering(applied_p, mlir.lower_fun(_product, multiple_results=True))
+mlir.register_lowering(applied_p, mlir.lower_fun(_apply_columns, multiple_results=True))
 ad.primitive_jvps[applied_p] = _differentiate_applied
-ad.primitive_transposes[applied_p] = _backwards
+ad.primitive_transposes[applied_p] = _transpose_columns
 
 
 # Columns that go through the function side by side: more gain little beside the memory that what
@@ -158,17 +158,17 @@ def by_columns(function: Callable, *arguments: Any) -> Any:
     return jax.tree.unflatten(shape, out)
 
 
-def _floats(program: ClosedJaxpr) -> list[int]:
+def _float_results(program: ClosedJaxpr) -> list[int]:
     """Which results have a derivative."""
     avals = program.out_avals
     return [i for i, aval in enumerate(avals) if np.issubdtype(aval.dtype, np.floating)]
 
 
-def _pushed(program: ClosedJaxpr, moving: Sequence[int], values: Any, tangents: Any) -> tuple:
+def _push(program: ClosedJaxpr, moving: Sequence[int], values: Any, tangents: Any) -> tuple:
     """(results, tangents of those that have one) of one sample."""
     function = of_moving(jaxpr_as_fun(program), values, moving)
     out, moved = jax.jvp(function, [values[i] for i in moving], list(tangents))
-    return list(out), [moved[i] for i in _floats(program)]
+    return list(out), [moved[i] for i in _float_results(program)]
 
 
 def _reference(*numbers: Any, program: ClosedJaxpr, moving: tuple, maps: tuple[Map, ...]) -> list:
@@ -178,7 +178,7 @@ def _reference(*numbers: Any, program: ClosedJaxpr, moving: tuple, maps: tuple[M
     def one(values, tangents):
         if not moving:
             return list(jaxpr_as_fun(program)(*values)), []
-        return _pushed(program, moving, values, tangents)
+        return _push(program, moving, values, tangents)
 
     for batch_map in maps:
         # None: the same for all tangents, and known to be.
@@ -203,14 +203,14 @@ def _shapes(*_, program, moving, maps):
     both = [m.size for m in reversed(maps)]
     avals = program.out_avals
     out = [jax.core.ShapedArray((*ahead, *a.shape), a.dtype) for a in avals]
-    moved = [avals[i] for i in _floats(program)] if moving else []
+    moved = [avals[i] for i in _float_results(program)] if moving else []
     return [*out, *(jax.core.ShapedArray((*both, *a.shape), a.dtype) for a in moved)]
 
 
-def _without(used, equation):
+def _drop_unread_results(used, equation):
     """The same without results that nobody asks for, nor their tangents."""
     program = equation.params["program"]
-    count, floats = len(program.out_avals), _floats(program)
+    count, floats = len(program.out_avals), _float_results(program)
     mask = list(used[:count])
     for i, is_used in zip(floats, used[count:], strict=False):
         mask[i] = mask[i] or is_used
@@ -236,15 +236,15 @@ def _differentiate(values, tangents, *, program, moving, maps):
     moving_tangents = [tangents[i] for i in moved]
     if moving:
         params = {"program": program, "moving": moving, "maps": maps}
-        return _of_second_order(values, moved, moving_tangents, params)
+        return _push_second_order(values, moved, moving_tangents, params)
     maps = tuple(m._replace(tangents=tuple(m.values[i] for i in moved)) for m in maps)
     results = columns_p.bind(*values, *moving_tangents, program=program, moving=moved, maps=maps)
     out, slopes = results[: len(program.out_avals)], iter(results[len(program.out_avals) :])
-    have = set(_floats(program))
+    have = set(_float_results(program))
     return out, [next(slopes) if i in have else still(each) for i, each in enumerate(out)]
 
 
-def _of_second_order(values, moved, tangents, params):
+def _push_second_order(values, moved, tangents, params):
     """The tangents' own tangents."""
     function = of_moving(functools.partial(_reference, **params), values, moved)
     out, slopes = jax.jvp(function, [values[i] for i in moved], tangents)
@@ -252,7 +252,7 @@ def _of_second_order(values, moved, tangents, params):
     return out, [s if jnp.issubdtype(o.dtype, jnp.floating) else still(o) for o, s in pairs]
 
 
-def _with_columns(*values: Any, program: ClosedJaxpr, moving: tuple, maps: tuple) -> tuple:
+def _columns_of_program(*values: Any, program: ClosedJaxpr, moving: tuple, maps: tuple) -> tuple:
     """(results, for each that has a derivative its columns in front, one for each number that
     moves)."""
     shapes = [program.in_avals[i].shape for i in moving]
@@ -266,11 +266,11 @@ def _with_columns(*values: Any, program: ClosedJaxpr, moving: tuple, maps: tuple
         def push(flat_tangent):
             parts = jnp.split(flat_tangent, np.cumsum(sizes)[:-1])
             tangent_parts = [part.reshape(shape) for part, shape in zip(parts, shapes, strict=True)]
-            return _pushed(program, moving, values, tangent_parts)
+            return _push(program, moving, values, tangent_parts)
 
         if count == 0:
             out = jaxpr_as_fun(program)(*values)
-            return list(out), [jnp.zeros((0, *out[i].shape)) for i in _floats(program)]
+            return list(out), [jnp.zeros((0, *out[i].shape)) for i in _float_results(program)]
         side_by_side = jax.vmap(push, out_axes=(None, 0))
         if portions == 1:
             return side_by_side(jnp.asarray(unit_tangents[0]))
@@ -283,7 +283,7 @@ def _with_columns(*values: Any, program: ClosedJaxpr, moving: tuple, maps: tuple
     return one(list(values))
 
 
-def _partial_evaluation(trace, *tracers, program, moving, maps):
+def _split_known(trace, *tracers, program, moving, maps):
     """What is linearised about known values: these go through the function once, together with
     the columns; what is left is their product with the tangents."""
     count = len(program.in_avals)
@@ -292,7 +292,7 @@ def _partial_evaluation(trace, *tracers, program, moving, maps):
     if not all_known or all(each.pval.is_known() for each in tangents):
         params = {"program": program, "moving": moving, "maps": maps}
         return trace.default_process_primitive(columns_p, tracers, params)
-    run = functools.partial(_with_columns, program=program, moving=moving, maps=maps)
+    run = functools.partial(_columns_of_program, program=program, moving=moving, maps=maps)
     out, columns = jax.jit(run)(*(each.pval.get_known() for each in values))
     inner_maps = tuple(
         Map(m.size, tuple(None if the_same(m.values) else 0 for _ in columns), m.tangents)
@@ -306,9 +306,9 @@ def _partial_evaluation(trace, *tracers, program, moving, maps):
 
 batching.primitive_batchers[columns_p] = _batch
 mlir.register_lowering(columns_p, mlir.lower_fun(_lowered, multiple_results=True))
-drop_by(columns_p, _without)
+drop_by(columns_p, _drop_unread_results)
 ad.primitive_jvps[columns_p] = _differentiate
-pe.custom_partial_eval_rules[columns_p] = _partial_evaluation
+pe.custom_partial_eval_rules[columns_p] = _split_known
 
 
 _forwards_p = Primitive("jaxclear_forwards_only")
@@ -331,7 +331,7 @@ def _refuse_backwards(_, __, *, sentence):
     raise ValueError(sentence)
 
 
-def _as_it_is(primals, tangents, **params):
+def _forwards_only_jvp(primals, tangents, **params):
     (value,), (tangent,) = primals, tangents
     moved = tangent if isinstance(tangent, ad.Zero) else _forwards_p.bind(tangent, **params)
     return _forwards_p.bind(value, **params), moved
@@ -341,5 +341,5 @@ _forwards_p.def_impl(lambda value, *, sentence: value)
 _forwards_p.def_abstract_eval(lambda aval, *, sentence: aval)
 batching.defvectorized(_forwards_p)
 mlir.register_lowering(_forwards_p, lambda _, value, *, sentence: [value])
-ad.primitive_jvps[_forwards_p] = _as_it_is
+ad.primitive_jvps[_forwards_p] = _forwards_only_jvp
 ad.primitive_transposes[_forwards_p] = _refuse_backwards

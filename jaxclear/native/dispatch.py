@@ -102,8 +102,8 @@ def _place(number: int) -> int:
 def enter(number: int, address: int) -> None:
     """From now on this number (positive, 63 bits) stands for the kernel at an address."""
     # The number last, and nobody's before: a call in another thread may be looking here.
-    _ordered("enter", None, ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64)(
-        _pair(_place(number)), number, address
+    _atomic_function("enter", None, ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64)(
+        _slot_address(_place(number)), number, address
     )
 
 
@@ -112,8 +112,8 @@ def remove(number: int, address: int) -> int:
     place at which calls of it that are under way are counted."""
     place = _place(number)
     if (TABLE[2 * place], TABLE[2 * place + 1]) == (number, address):
-        _ordered("leave", ctypes.c_int64, ctypes.c_void_p, ctypes.c_void_p)(
-            _pair(place), ctypes.addressof(CALLS) + 8 * place
+        _atomic_function("leave", ctypes.c_int64, ctypes.c_void_p, ctypes.c_void_p)(
+            _slot_address(place), ctypes.addressof(CALLS) + 8 * place
         )
     return place
 
@@ -123,11 +123,11 @@ def in_use(place: int) -> bool:
     return CALLS[place] > 0
 
 
-def _pair(place: int) -> int:
+def _slot_address(place: int) -> int:
     return ctypes.addressof(TABLE) + 16 * place
 
 
-def _ordered(what: str, *types: Any) -> Any:
+def _atomic_function(what: str, *types: Any) -> Any:
     """A function of machine code that changes the table in an order that other threads see too."""
     return ctypes.CFUNCTYPE(*types)(register_with_xla().get_function_address(f"{TARGET}.{what}"))
 
@@ -206,11 +206,15 @@ def frame(
     in_memory: Sequence[int],
     tables: Sequence[int] = (),
 ) -> str:
-    """LLVM code of the function that XLA enters and of the loop over samples, for a kernel `name`.
+    """LLVM code of the function that XLA enters, with the loop over samples, for a kernel.
 
-    `width`, `height`: floats of a packed row in and out; `in_memory`: numbers that each sample has
-    in each of the arrays that are read by index (0: it is the same for all); `tables`: in each of
-    those that are written, which stand behind them.
+    Args:
+        name: of the kernel.
+        lanes: samples that the kernel takes at once.
+        width, height: floats of a packed row in and out.
+            in_memory: numbers of each sample in each array that is read by index; 0: shared by all
+            samples.
+        tables: numbers of each sample in each array that is written, which follow those in memory.
     """
     loads, pointers = [], []
     read, in_memory = len(in_memory), [*in_memory, *tables]

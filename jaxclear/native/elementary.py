@@ -60,7 +60,7 @@ ANGLE_BOTTOM = (
 TURN_RATIO = 0.66
 
 
-def _series(w: Writer, x, coefficients):
+def _horner(w: Writer, x, coefficients):
     total = coefficients[0]
     for c in coefficients[1:]:
         total = w.call("fma", total, x, c)
@@ -87,10 +87,10 @@ def sincos(lanes: int) -> tuple[list[str], set[str]]:
         r = w.call("fma", back, part, r)
     square = _float(w, "fmul {type} {0}, {0}", r)
     cube = _float(w, "fmul {type} {0}, {1}", square, r)
-    sine = w.call("fma", cube, _series(w, square, SINE), r)
+    sine = w.call("fma", cube, _horner(w, square, SINE), r)
     flat = w.call("fma", square, -0.5, 1.0)
     fourth = _float(w, "fmul {type} {0}, {0}", square)
-    cosine = w.call("fma", fourth, _series(w, square, COSINE), flat)
+    cosine = w.call("fma", fourth, _horner(w, square, COSINE), flat)
     quadrant = w.put(f"fptosi {wide} {count} to {w.wide('i64')}")
     odd, half = [
         w.operate(
@@ -108,14 +108,14 @@ def sincos(lanes: int) -> tuple[list[str], set[str]]:
     s, c = w.choose(odd, cosine, sine, FLOAT), w.choose(odd, sine, cosine, FLOAT)
     s = w.choose(half, _float(w, "fneg {type} {0}", s), s, FLOAT)
     c = w.choose(negated, _float(w, "fneg {type} {0}", c), c, FLOAT)
-    _give(w, s, c)
+    _return_pair(w, s, c)
     w.start("far")
-    _give(w, w.library("sin", "%x"), w.library("cos", "%x"))
+    _return_pair(w, w.library("sin", "%x"), w.library("cos", "%x"))
     head = f"define internal {{{wide}, {wide}}} @jc.sincos({wide} %x) {PURE} {{"
     return [head, "entry:", *w.lines, "}"], w.needs
 
 
-def _give(w: Writer, sine, cosine):
+def _return_pair(w: Writer, sine, cosine):
     wide = w.wide(FLOAT)
     first = w.put(f"insertvalue {{{wide}, {wide}}} poison, {wide} {sine}, 0")
     both = w.put(f"insertvalue {{{wide}, {wide}}} {first}, {wide} {cosine}, 1")
@@ -140,7 +140,7 @@ def atan2(lanes: int) -> tuple[list[str], set[str]]:
     over, under = w.choose(wide_angle, less, small, FLOAT), w.choose(wide_angle, more, large, FLOAT)
     t = _float(w, "fdiv {type} {0}, {1}", over, w.choose(nowhere, 1.0, under, FLOAT))
     z = _float(w, "fmul {type} {0}, {0}", t)
-    share = _float(w, "fdiv {type} {0}, {1}", _series(w, z, ANGLE_TOP), _series(w, z, ANGLE_BOTTOM))
+    share = _float(w, "fdiv {type} {0}, {1}", _horner(w, z, ANGLE_TOP), _horner(w, z, ANGLE_BOTTOM))
     arc = w.call("fma", _float(w, "fmul {type} {0}, {1}", z, share), t, t)
     lifted = _float(w, "fadd {type} {0}, {1}", arc, 0.5 * HALF_PI[1])
     arc = w.choose(
@@ -168,16 +168,16 @@ _INTRINSICS = {"sqrt": "sqrt", "abs": "fabs", "floor": "floor", "ceil": "ceil"}
 
 
 @rule(*_INTRINSICS)
-def _intrinsic(writer, equation, a):
+def _write_intrinsic(writer, equation, a):
     name, kind = equation.primitive.name, kinds_of(equation)[0]
     if kind != FLOAT:
         if name == "abs":
-            return each(lambda x: abs(x) if is_num(x) else _absolute(writer, x), a)
+            return each(lambda x: abs(x) if is_num(x) else _absolute_integer(writer, x), a)
         raise Unsupported(f"{name} of whole numbers")
     return each(lambda x: writer.call(_INTRINSICS[name], x), a)
 
 
-def _absolute(writer, x):
+def _absolute_integer(writer, x):
     return writer.choose(
         compare(writer, "lt", INT, x, 0),
         writer.operate("sub {type} {1}, {0}", INT, x, 0),
@@ -198,19 +198,19 @@ _LIBRARY = (
 
 
 @rule(*_LIBRARY)
-def _from_library(writer, equation, a):
+def _write_library_call(writer, equation, a):
     return each(lambda x: writer.library(equation.primitive.name, x), a)
 
 
 @rule("pow")
-def _power(writer, equation, a, b):
+def _write_power(writer, equation, a, b):
     if kinds_of(equation) != [FLOAT, FLOAT]:
         raise Unsupported("a power of whole numbers")
     return each(lambda x, y: writer.library("pow", x, y), a, b)
 
 
 @rule("sin", "cos")
-def _sine(writer, equation, a):
+def _write_sine(writer, equation, a):
     def one(x):
         pair = writer.call_defined("sincos", x)
         wide = writer.wide(FLOAT)
@@ -222,30 +222,30 @@ def _sine(writer, equation, a):
 
 
 @rule("atan2")
-def _angle(writer, equation, a, b):
+def _write_angle(writer, equation, a, b):
     return each(lambda y, x: writer.call_defined("atan2", y, x), a, b)
 
 
 @rule("atan")
-def _arctangent(writer, equation, a):
+def _write_arctangent(writer, equation, a):
     return each(lambda x: writer.call_defined("atan2", x, 1.0), a)
 
 
 @rule("rsqrt")
-def _inverse_root(writer, equation, a):
+def _write_inverse_root(writer, equation, a):
     return each(
         lambda x: writer.operate("fdiv {type} {0}, {1}", FLOAT, 1.0, writer.call("sqrt", x)), a
     )
 
 
 @rule("round")
-def _round(writer, equation, a):
+def _write_rounding(writer, equation, a):
     even = int(equation.params["rounding_method"]) == 1
     return each(lambda x: writer.call("roundeven" if even else "round", x), a)
 
 
 @rule("sign")
-def _sign(writer, equation, a):
+def _write_sign(writer, equation, a):
     kind = kinds_of(equation)[0]
     one, zero = (1.0, 0.0) if kind == FLOAT else (1, 0)
 
@@ -257,7 +257,7 @@ def _sign(writer, equation, a):
 
 
 @rule("nextafter")
-def _neighbour(writer, equation, a, b):
+def _write_next_float(writer, equation, a, b):
     """Floats in order of size are in order as whole numbers too, without their sign."""
 
     def one(x, y):
@@ -288,12 +288,12 @@ def _finite(writer, equation, a):
     return each(one, a)
 
 
-def _product(writer, x, y):
+def _multiply_contracted(writer, x, y):
     return writer.operate("fmul contract {type} {0}, {1}", FLOAT, x, y)
 
 
 @rule("square")
-def _square(writer, equation, a):
+def _write_square(writer, equation, a):
     kind = kinds_of(equation)[0]
     word = "fmul contract" if kind == FLOAT else "mul"
     return each(
@@ -302,7 +302,7 @@ def _square(writer, equation, a):
 
 
 @rule("one_minus_square")
-def _one_minus_square(writer, equation, a):
+def _write_one_minus_square(writer, equation, a):
     """In two factors, as JAX has it: close to 1 the square itself has lost the difference."""
     kind = kinds_of(equation)[0]
     add, sub, mul = _PIECES[kind]
@@ -319,7 +319,7 @@ def _one_minus_square(writer, equation, a):
 
 
 @rule("polynomial")
-def _polynomial(writer, equation, a, *coefficients):
+def _write_polynomial(writer, equation, a, *coefficients):
     """By Horner's scheme; the coefficient of the highest power is the last."""
     if set(kinds_of(equation)) != {FLOAT}:
         raise Unsupported("a polynomial of whole numbers")
@@ -327,7 +327,7 @@ def _polynomial(writer, equation, a, *coefficients):
     def one(x, *factors):
         result = factors[-1]
         for factor in reversed(factors[:-1]):
-            product = _product(writer, result, x)
+            product = _multiply_contracted(writer, result, x)
             result = writer.operate("fadd contract {type} {0}, {1}", FLOAT, product, factor)
         return result
 
@@ -335,7 +335,7 @@ def _polynomial(writer, equation, a, *coefficients):
 
 
 @rule("integer_pow")
-def _integer_power(writer, equation, a):
+def _write_integer_power(writer, equation, a):
     count = equation.params["y"]
     if kinds_of(equation)[0] != FLOAT:
         raise Unsupported("a power of whole numbers")
@@ -344,9 +344,9 @@ def _integer_power(writer, equation, a):
         result, square, remaining_power = None, x, abs(count)
         while remaining_power:
             if remaining_power & 1:
-                result = square if result is None else _product(writer, result, square)
+                result = square if result is None else _multiply_contracted(writer, result, square)
             remaining_power >>= 1
-            square = _product(writer, square, square) if remaining_power else square
+            square = _multiply_contracted(writer, square, square) if remaining_power else square
         result = 1.0 if result is None else result
         return writer.operate("fdiv {type} {0}, {1}", FLOAT, 1.0, result) if count < 0 else result
 

@@ -43,18 +43,18 @@ class Untold(Exception):
 
 def tree_in_text(tree: Any) -> str:
     """The structure of a tree."""
-    return "".join(_nodes(tree))
+    return "".join(_iterate_nodes(tree))
 
 
-def _nodes(tree: Any) -> Iterator[str]:
+def _iterate_nodes(tree: Any) -> Iterator[str]:
     data = tree.node_data()
     if data is None:
         yield "*"
         return
     kind, content = data
-    yield f"{_named(kind)}[{in_text(content)}]("
+    yield f"{_name_in_library(kind)}[{in_text(content)}]("
     for child in tree.children():
-        yield from _nodes(child)
+        yield from _iterate_nodes(child)
         yield ","
     yield ")"
 
@@ -62,54 +62,54 @@ def _nodes(tree: Any) -> Iterator[str]:
 def in_text(thing: Any) -> str:
     """A thing that is no number of a program. Raises `Untold`."""
     if isinstance(thing, enum.Enum):
-        return f"{_named(type(thing))}.{thing.name}"
+        return f"{_name_in_library(type(thing))}.{thing.name}"
     if thing is None or isinstance(thing, (bool, int, float, complex, str, bytes)):
-        return f"{_named(type(thing))}:{thing!r}"
+        return f"{_name_in_library(type(thing))}:{thing!r}"
     if isinstance(thing, type):
-        return _named(thing)
+        return _name_in_library(thing)
     if isinstance(thing, slice):
         return f"slice{in_text((thing.start, thing.stop, thing.step))}"
     if isinstance(thing, (tuple, list)):
-        return f"{_named(type(thing))}({','.join(map(in_text, thing))})"
+        return f"{_name_in_library(type(thing))}({','.join(map(in_text, thing))})"
     if isinstance(thing, (set, frozenset)):
-        return f"{_named(type(thing))}({','.join(sorted(map(in_text, thing)))})"
+        return f"{_name_in_library(type(thing))}({','.join(sorted(map(in_text, thing)))})"
     if isinstance(thing, dict):
         pairs = (f"{in_text(key)}={in_text(value)}" for key, value in thing.items())
-        return f"{_named(type(thing))}({','.join(pairs)})"
+        return f"{_name_in_library(type(thing))}({','.join(pairs)})"
     if isinstance(thing, (np.ndarray, np.generic, jax.Array)):
-        return _array(np.asarray(thing))
+        return _array_text(np.asarray(thing))
     if isinstance(thing, np.dtype):
         return f"kind {thing.str}"
     if fields := getattr(type(thing), "__dataclass_fields__", ()):
         field_texts = (f"{name}={in_text(getattr(thing, name))}" for name in fields)
-        return f"{_named(type(thing))}({','.join(field_texts)})"
+        return f"{_name_in_library(type(thing))}({','.join(field_texts)})"
     if callable(thing):
         return function_in_text(thing)
     if not getattr(thing, "__dict__", True) or type(thing).__module__.startswith("equinox."):
         # One of a kind, that holds nothing.
-        return _named(type(thing))
-    return _written(thing)
+        return _name_in_library(type(thing))
+    return _text_of_user_code(thing)
 
 
 def function_in_text(function: Callable) -> str:
     """A function: of a library by the name under which it, or what is made of it, is there; another
     by what it does. Raises `Untold`."""
     if _is_trusted(function):
-        name = _named(function)
+        name = _name_in_library(function)
         module, path = name.split(":")
         resolved: Any = sys.modules.get(module)
         for part in path.split("."):
             resolved = getattr(resolved, part, None)
         if resolved is function or getattr(resolved, "__wrapped__", None) is function:
             return name
-    return _written(function)
+    return _text_of_user_code(function)
 
 
-def _named(thing: Any) -> str:
+def _name_in_library(thing: Any) -> str:
     """The name of a class or function of a library; what one of a user does. Raises `Untold`."""
     if _is_trusted(thing):
         return f"{thing.__module__}:{thing.__qualname__}"
-    return _written(thing)
+    return _text_of_user_code(thing)
 
 
 def _is_trusted(thing: Any) -> bool:
@@ -118,23 +118,23 @@ def _is_trusted(thing: Any) -> bool:
     return isinstance(module, str) and module.partition(".")[0] in TRUSTED and "<" not in name
 
 
-def _written(thing: Any) -> str:
+def _text_of_user_code(thing: Any) -> str:
     """A thing that is a user's by what it does and holds. Raises `Untold` where that may hang on
     what no text shows."""
     description = Description()
     description.add(thing, "")
     if hidden := description.opaque | (description.names & READING):
         raise Untold(f"{type(thing).__name__}: {', '.join(sorted(hidden))}")
-    return f"{sorted(description.texts.items())}{_distributions()}"
+    return f"{sorted(description.texts.items())}{_installed_distributions()}"
 
 
 @functools.cache
-def _distributions() -> list[str]:
+def _installed_distributions() -> list[str]:
     """What is installed, with versions: the names of folders that tell them."""
     return sorted(path.name for folder in FOLDERS for path in folder.glob("*.dist-info"))
 
 
-def _array(values: np.ndarray) -> str:
+def _array_text(values: np.ndarray) -> str:
     if values.dtype == object:
         raise Untold("an array of things")
     digest = hashlib.sha256(np.ascontiguousarray(values).tobytes()).hexdigest()
@@ -150,11 +150,11 @@ def surroundings() -> str:
     settings: Any = jax.config
     names = [name for name in sorted(settings.values) if not any(part in name for part in IGNORED)]
     setting_values = [(name, str(getattr(settings, name, settings.values[name]))) for name in names]
-    return f"{_installed()}{sorted(environment.items())}{setting_values}"
+    return f"{_environment_text()}{sorted(environment.items())}{setting_values}"
 
 
 @functools.cache
-def _installed() -> str:
+def _environment_text() -> str:
     """Versions, the processor, and what stands in this package's files: one that is being worked on
     changes within a version."""
     versions = [(name, version(name)) for name in LIBRARIES]

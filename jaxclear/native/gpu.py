@@ -69,21 +69,21 @@ def build(program: Program, call: Call) -> GpuKernel:
     with _BUILDING:
         cached = _KERNELS.get(_number(text, program))
         if cached is None:
-            key = _key(text, program)
+            key = _key_of_ptx(text, program)
             ptx = cache_folder.read(cache_folder.KERNEL, key)
             if ptx is None or check.is_check_enabled():
                 _compare(program, call)
-                cached = _loaded(text, program)
+                cached = _load_kernel(text, program)
                 # What has passed is cached.
-                cache_folder.write(cache_folder.KERNEL, key, _ptx(text, program).encode())
+                cache_folder.write(cache_folder.KERNEL, key, _compile_ptx(text, program).encode())
             else:
-                cached = _loaded(text, program, ptx.decode())
+                cached = _load_kernel(text, program, ptx.decode())
         return cached
 
 
 def _compare(program: Program, call: Call) -> None:
     """Raises `Unsupported` where a turn on the device is not what it is on the processor."""
-    one = _loaded(gpu_threads.text_of(program, checked=True), program)
+    one = _load_kernel(gpu_threads.text_of(program, checked=True), program)
 
     def turn(samples):
         inputs = [
@@ -102,12 +102,12 @@ def _compare(program: Program, call: Call) -> None:
     check.check(program, turn, kernels.turn_of(program, 1), "the processor's, on a GPU")
 
 
-def _loaded(text: str, program: Program, ptx: str | None = None) -> GpuKernel:
+def _load_kernel(text: str, program: Program, ptx: str | None = None) -> GpuKernel:
     """The kernel of a text, loaded, and in the table under its number."""
     number = _number(text, program)
     if number not in _KERNELS:
-        name, driver = _name(number), gpu_driver.driver()
-        loaded = driver.load(_ptx(text, program) if ptx is None else ptx, name)
+        name, driver = _name_of_kernel(number), gpu_driver.driver()
+        loaded = driver.load(_compile_ptx(text, program) if ptx is None else ptx, name)
         arrays = gpu_threads.arrays_of(program)
         places = driver.address("cuStreamGetCtx"), driver.address("cuLaunchKernel")
         counts = 1 + len(arrays.read), 1 + len(arrays.written)
@@ -117,8 +117,8 @@ def _loaded(text: str, program: Program, ptx: str | None = None) -> GpuKernel:
     return _KERNELS[number]
 
 
-def _ptx(text: str, program: Program) -> str:
-    name = _name(_number(text, program))
+def _compile_ptx(text: str, program: Program) -> str:
+    name = _name_of_kernel(_number(text, program))
     processor = gpu_ptx.processor_of(gpu_driver.driver().capability)
     return gpu_ptx.ptx_of(text.replace("@NAME", f"@{name}"), processor)
 
@@ -130,11 +130,11 @@ def _number(text: str, program: Program) -> int:
     return max(int(hashlib.sha256(form.encode()).hexdigest()[:16], 16) >> 1, 1)
 
 
-def _name(number: int) -> str:
+def _name_of_kernel(number: int) -> str:
     return f"jaxclear_gpu_{number:x}"
 
 
-def _key(text: str, program: Program) -> str:
+def _key_of_ptx(text: str, program: Program) -> str:
     """Under which PTX is kept that has passed its comparison, on this device by this driver."""
     driver, devices = gpu_driver.driver(), [each.device_kind for each in jax.local_devices()]
     about = f"{driver.version} {driver.capability} {devices} {gpu_ptx.libdevice()}"

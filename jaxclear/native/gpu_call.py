@@ -43,9 +43,16 @@ def register_with_xla() -> None:
 def handler_text(
     name: str, loaded: Sequence[Loaded], read: int, written: int, places: tuple[int, int]
 ) -> str:
-    """LLVM code of the function that XLA enters for a kernel, loaded on these devices, of so many
-    arrays in and out. `places`: where two functions of the driver are in this process, what tells
-    the context of a stream, and what launches a kernel."""
+    """LLVM code of the host function by which XLA launches a kernel on the GPU.
+
+    Args:
+        name: of the kernel.
+        loaded: the kernel on each device.
+        read, written: numbers of arrays in and out.
+            places: addresses of two driver functions in this process: which context a stream has,
+            and the
+            launch.
+    """
     functions = ["  %function.0 = add i64 0, 0"]
     for k, each in enumerate(loaded):
         functions += [

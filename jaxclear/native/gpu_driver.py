@@ -41,11 +41,11 @@ class Driver:
 
     def __init__(self, library: Any, ordinals: list[int]):
         self.library = library
-        self._call("cuInit", 0)
-        self.contexts = [self._context(ordinal) for ordinal in ordinals]
-        self.capability = min(map(self._capability, map(self._device, ordinals)))
+        self._call_driver("cuInit", 0)
+        self.contexts = [self._primary_context(ordinal) for ordinal in ordinals]
+        self.capability = min(map(self._compute_capability, map(self._device, ordinals)))
         version = ctypes.c_int()
-        self._call("cuDriverGetVersion", ctypes.byref(version))
+        self._call_driver("cuDriverGetVersion", ctypes.byref(version))
         self.version = version.value
 
     def address(self, name: str) -> int:
@@ -55,17 +55,17 @@ class Driver:
     def load(self, ptx: str, name: str) -> list[Loaded]:
         """The kernel of a name on each device. Raises `Unsupported` where the driver does not take
         its PTX."""
-        return [self._loaded(context, ptx, name) for context in self.contexts]
+        return [self._load_function(context, ptx, name) for context in self.contexts]
 
-    def _loaded(self, context: int, ptx: str, name: str) -> Loaded:
+    def _load_function(self, context: int, ptx: str, name: str) -> Loaded:
         module, function = ctypes.c_void_p(), ctypes.c_void_p()
         log = ctypes.create_string_buffer(LOG_BYTES)
         keys = (ctypes.c_int * 2)(ERROR_LOG, ERROR_LOG_SIZE)
         values = (ctypes.c_void_p * 2)(ctypes.addressof(log), LOG_BYTES)
-        with self._within(context):
+        with self._use_context(context):
             load_arguments = ctypes.byref(module), ctypes.c_char_p(ptx.encode()), 2, keys, values
-            self._call("cuModuleLoadDataEx", *load_arguments, log=log)
-            self._call("cuModuleGetFunction", ctypes.byref(function), module, name.encode())
+            self._call_driver("cuModuleLoadDataEx", *load_arguments, log=log)
+            self._call_driver("cuModuleGetFunction", ctypes.byref(function), module, name.encode())
             # What a thread puts aside goes through this cache, and blocks share nothing.
             self.library.cuFuncSetCacheConfig(function, PREFER_L1)
             attributes = [self._get_attribute(function, what) for what in (REGISTERS, LOCAL_BYTES)]
@@ -73,35 +73,35 @@ class Driver:
 
     def _get_attribute(self, function: Any, what: int) -> int:
         value = ctypes.c_int()
-        self._call("cuFuncGetAttribute", ctypes.byref(value), what, function)
+        self._call_driver("cuFuncGetAttribute", ctypes.byref(value), what, function)
         return value.value
 
     def _device(self, ordinal: int) -> int:
         device = ctypes.c_int()
-        self._call("cuDeviceGet", ctypes.byref(device), ordinal)
+        self._call_driver("cuDeviceGet", ctypes.byref(device), ordinal)
         return device.value
 
-    def _context(self, ordinal: int) -> int:
+    def _primary_context(self, ordinal: int) -> int:
         context = ctypes.c_void_p()
-        self._call("cuDevicePrimaryCtxRetain", ctypes.byref(context), self._device(ordinal))
+        self._call_driver("cuDevicePrimaryCtxRetain", ctypes.byref(context), self._device(ordinal))
         return context.value or 0
 
-    def _capability(self, device: int) -> tuple[int, int]:
+    def _compute_capability(self, device: int) -> tuple[int, int]:
         capability = ctypes.c_int(), ctypes.c_int()
         for number, what in zip(capability, (MAJOR, MINOR), strict=True):
-            self._call("cuDeviceGetAttribute", ctypes.byref(number), what, device)
+            self._call_driver("cuDeviceGetAttribute", ctypes.byref(number), what, device)
         return capability[0].value, capability[1].value
 
     @contextmanager
-    def _within(self, context: int) -> Iterator[None]:
+    def _use_context(self, context: int) -> Iterator[None]:
         """What this thread asks of the driver is asked of a context; then of the one before."""
-        self._call("cuCtxPushCurrent_v2", ctypes.c_void_p(context))
+        self._call_driver("cuCtxPushCurrent_v2", ctypes.c_void_p(context))
         try:
             yield
         finally:
             self.library.cuCtxPopCurrent_v2(ctypes.byref(ctypes.c_void_p()))
 
-    def _call(self, name: str, *call_arguments: Any, log: Any = None) -> None:
+    def _call_driver(self, name: str, *call_arguments: Any, log: Any = None) -> None:
         error = getattr(self.library, name)(*call_arguments)
         if error:
             log_text = "" if log is None else " ".join(log.value.decode(errors="replace").split())
@@ -116,10 +116,10 @@ def driver() -> Driver:
     if not devices:
         raise Unsupported("a GPU, of which JAX sees none")
     # JAX numbers the devices of a process as the driver does.
-    return Driver(_library(), [each.local_hardware_id or 0 for each in devices])
+    return Driver(_open_library(), [each.local_hardware_id or 0 for each in devices])
 
 
-def _library() -> Any:
+def _open_library() -> Any:
     for name in LIBRARIES:
         try:
             return ctypes.CDLL(name)

@@ -56,8 +56,8 @@ def ptx_of(text: str, processor: str) -> str:
             f"{', '.join(sorted(names))} on a GPU without NVIDIA's libdevice, which is in the "
             'packages of "jax[cuda12]" and "jax[cuda13]"'
         )
-    target = _target(processor)
-    module = llvm.parse_assembly(_from_libdevice(f'target triple = "{TRIPLE}"\n{text}', names))
+    target = _target_machine(processor)
+    module = llvm.parse_assembly(_use_libdevice(f'target triple = "{TRIPLE}"\n{text}', names))
     module.data_layout = str(target.target_data)
     if library is not None:
         functions = llvm.parse_bitcode(library.read_bytes())
@@ -74,7 +74,7 @@ def ptx_of(text: str, processor: str) -> str:
     return target.emit_assembly(module)
 
 
-def _from_libdevice(text: str, names: list[str]) -> str:
+def _use_libdevice(text: str, names: list[str]) -> str:
     """Calls of the C library as calls of libdevice, whose functions say themselves what they
     read."""
     for name in names:
@@ -82,7 +82,7 @@ def _from_libdevice(text: str, names: list[str]) -> str:
     return re.sub(r"^(declare double @__nv_\w+\([^)]*\)).*$", r"\1", text, flags=re.M)
 
 
-def _target(processor: str) -> Any:
+def _target_machine(processor: str) -> Any:
     import llvmlite.binding as llvm
 
     llvm.initialize_all_targets()

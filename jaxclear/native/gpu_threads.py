@@ -114,9 +114,16 @@ def arrays_of(program: Program) -> Arrays:
 
 
 def text_of(program: Program, checked: bool = False, on_host: bool = False) -> str:
-    """LLVM code of a loop's kernel `@NAME(samples, in, out, arrays...)` for one thread; `checked`:
-    it takes one turn; `on_host`: for the processor, with the thread's number in front. Raises
-    `Unsupported`."""
+    """LLVM code of a loop's kernel `@NAME(samples, in, out, arrays...)` for one GPU thread.
+
+    Args:
+        program: the loop, its condition and body as JAX programs.
+        checked: whether it takes one turn only.
+        on_host: whether it is for the processor, with the thread's number as first argument.
+
+    Raises:
+        Unsupported: a primitive has no rule, or there are too many arrays.
+    """
     arrays = arrays_of(program)
     count = len(arrays.read) + len(arrays.written)
     if count > MOST_ARRAYS:
@@ -131,7 +138,7 @@ def text_of(program: Program, checked: bool = False, on_host: bool = False) -> s
     named = f"ptr noalias %in, ptr noalias %out, i64 %samples{', ' if params else ''}{params}"
     thread = "\n".join(_thread(lines.split("\n"), steps))
     loop = f"{head}{named}) alwaysinline {{\nentry:{thread}{end}"
-    return "\n".join([before, *ARRAY_FUNCTIONS, loop, behind, _entry(steps, on_host)])
+    return "\n".join([before, *ARRAY_FUNCTIONS, loop, behind, _entry_function(steps, on_host)])
 
 
 def _thread(lines: list[str], steps: list[bool]) -> list[str]:
@@ -166,7 +173,7 @@ def _thread(lines: list[str], steps: list[bool]) -> list[str]:
             elif match := _FLAG.fullmatch(line):
                 out.append(f"  {match[1]} = add i64 0, 0")
             else:
-                _look_at(line, strided)
+                _note_pointer(line, strided)
                 out.append(line)
     except (KeyError, ValueError) as unknown:
         raise Unsupported(f"a use of memory that is not known on a GPU: {unknown}") from unknown
@@ -183,7 +190,7 @@ class _StridedPointers(dict):
         raise KeyError(register)
 
 
-def _look_at(line: str, strided: _StridedPointers) -> None:
+def _note_pointer(line: str, strided: _StridedPointers) -> None:
     """Raises `KeyError` where a line does with a pointer what is not known here, and notes a
     pointer to what the thread keeps for itself."""
     if match := _ALLOCATION.fullmatch(line):
@@ -199,7 +206,7 @@ def _look_at(line: str, strided: _StridedPointers) -> None:
         raise KeyError(line.strip())
 
 
-def _entry(steps: list[bool], on_host: bool) -> str:
+def _entry_function(steps: list[bool], on_host: bool) -> str:
     """The function that a thread enters."""
     space = "ptr" if on_host else "ptr addrspace(1)"
     # The threads' own begin at their number, what they share at its beginning.

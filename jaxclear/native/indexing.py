@@ -31,7 +31,7 @@ from jaxclear.native.writer import (
 @rule(
     "copy", "copy_p", "stop_gradient", "optimization_barrier", "reduce_precision", reads_memory=True
 )
-def _same(writer, equation, *arrays):
+def _pass_through(writer, equation, *arrays):
     return list(arrays)
 
 
@@ -166,7 +166,7 @@ def _select_if(writer, equation, which, yes, no):
     return yes
 
 
-def _within(writer, index, largest):
+def _clamp(writer, index, largest):
     """An index moved into 0 ... largest."""
     if is_num(index):
         return min(max(index, 0), largest)
@@ -174,7 +174,7 @@ def _within(writer, index, largest):
     return writer.choose(compare(writer, "gt", INT, low, largest), largest, low, INT)
 
 
-def _entry(writer, array, index, kind):
+def _read(writer, array, index, kind):
     """array[index] for a tuple of indices within range, some known only at run time."""
     shape = array.shape
     if isinstance(array, InMemory):
@@ -183,7 +183,7 @@ def _entry(writer, array, index, kind):
         if not is_num(i):
             entry = None
             for choice in range(shape[axis]):
-                value = _entry(writer, array, (*index[:axis], choice, *index[axis + 1 :]), kind)
+                value = _read(writer, array, (*index[:axis], choice, *index[axis + 1 :]), kind)
                 entry = (
                     value
                     if entry is None
@@ -204,7 +204,7 @@ def _flat(writer, shape, index):
     return flat
 
 
-def _plus(writer, x, y):
+def _add(writer, x, y):
     if is_num(x, y):
         return x + y
     return x if is_num(y) and y == 0 else writer.operate("add {type} {0}, {1}", INT, x, y)
@@ -214,7 +214,7 @@ def _plus(writer, x, y):
 def _dynamic_slice(writer, equation, a, *starts):
     sizes, kind = equation.params["slice_sizes"], kind_of(equation.invars[0].aval.dtype)
     starts = [
-        _within(writer, s.item(), full - size)
+        _clamp(writer, s.item(), full - size)
         for s, full, size in zip(starts, a.shape, sizes, strict=True)
     ]
     if math.prod(sizes) > LONGEST_IN_REGISTERS:
@@ -224,8 +224,8 @@ def _dynamic_slice(writer, equation, a, *starts):
         raise Unsupported("a long slice")
     out = np.empty(sizes, object)
     for index in np.ndindex(*sizes):
-        out[index] = _entry(
-            writer, a, tuple(_plus(writer, s, i) for s, i in zip(starts, index, strict=True)), kind
+        out[index] = _read(
+            writer, a, tuple(_add(writer, s, i) for s, i in zip(starts, index, strict=True)), kind
         )
     return out
 
@@ -233,17 +233,17 @@ def _dynamic_slice(writer, equation, a, *starts):
 @rule("dynamic_update_slice", reads_memory=True)
 def _dynamic_update(writer, equation, a, update, *starts):
     starts = [
-        _within(writer, s.item(), full - n)
+        _clamp(writer, s.item(), full - n)
         for s, full, n in zip(starts, a.shape, update.shape, strict=True)
     ]
     places = {
-        index: tuple(_plus(writer, s, i) for s, i in zip(starts, index, strict=True))
+        index: tuple(_add(writer, s, i) for s, i in zip(starts, index, strict=True))
         for index in np.ndindex(*update.shape)
     }
-    return _changed(writer, a, update, places, kind_of(equation.invars[0].aval.dtype))
+    return _update_entries(writer, a, update, places, kind_of(equation.invars[0].aval.dtype))
 
 
-def _changed(writer, a, update, places, kind):
+def _update_entries(writer, a, update, places, kind):
     """An array with the entries of an update at their places, all of them within it."""
     refuse_memory(update)
     if isinstance(a, InMemory):
@@ -289,8 +289,13 @@ def _maybe_set(writer, equation, allowed, a, update, *indices):
 
 
 def gathered_places(equation: Any, shape: tuple[int, ...], indices: Any) -> np.ndarray | None:
-    """Row-major places in an array of what is gathered out of it; None where they are not
-    known."""
+    """Row-major places of gathered entries in an array; None where indices are not known.
+
+    Args:
+        equation: of JAX's primitive `gather`.
+        shape: of the array.
+        indices: start indices, an array of registers or numbers.
+    """
     p = equation.params
     numbers, sizes = p["dimension_numbers"], p["slice_sizes"]
     plain = not numbers.operand_batching_dims and "FILL" not in str(p["mode"])
@@ -325,10 +330,10 @@ def _gather(writer, equation, a, indices):
         inside = [x for i, x in enumerate(index) if i in numbers.offset_dims]
         place: list[Any] = [0] * len(sizes)
         for where, axis in enumerate(numbers.start_index_map):
-            place[axis] = _within(writer, indices[(*batch, where)], a.shape[axis] - sizes[axis])
+            place[axis] = _clamp(writer, indices[(*batch, where)], a.shape[axis] - sizes[axis])
         for axis, offset in zip(window, inside, strict=True):
-            place[axis] = _plus(writer, place[axis], offset)
-        out[index] = _entry(writer, a, tuple(place), kind)
+            place[axis] = _add(writer, place[axis], offset)
+        out[index] = _read(writer, a, tuple(place), kind)
     return out
 
 
@@ -343,7 +348,7 @@ def _scatter(writer, equation, a, indices, update):
         raise Unsupported("this kind of scatter")
     places = places_of(writer, numbers, a.shape, indices, update.shape, clips)
     if clips:
-        return _changed(writer, a, update, places, kind)
+        return _update_entries(writer, a, update, places, kind)
     out = a.copy()
     for index, place in places.items():
         if not add:
@@ -356,9 +361,17 @@ def _scatter(writer, equation, a, indices, update):
 
 
 def places_of(writer, numbers, shape, indices, updated, clips):
-    """Where the entries of an update go in an array of this shape; `clips`: windows are moved
-    within it as a whole, what the update of a slice becomes where several arrays are updated at the
-    same place."""
+    """Index in an array of each entry of an update.
+
+    Args:
+        writer: LLVM text under construction.
+        numbers: dimension numbers of JAX's scatter.
+        shape: of the array.
+        indices: start indices, an array of registers or numbers.
+        updated: shape of the update.
+        clips: whether windows are moved into the array as a whole, as for the update of a slice;
+            otherwise entries outside are dropped.
+    """
     window = [i for i in range(len(shape)) if i not in numbers.inserted_window_dims]
     sizes = dict.fromkeys(range(len(shape)), 1)
     sizes |= {i: updated[d] for i, d in zip(window, numbers.update_window_dims, strict=True)}
@@ -368,8 +381,8 @@ def places_of(writer, numbers, shape, indices, updated, clips):
         place: list[Any] = [0] * len(shape)
         for where, axis in enumerate(numbers.scatter_dims_to_operand_dims):
             start = indices[(*batch, where)]
-            place[axis] = _within(writer, start, shape[axis] - sizes[axis]) if clips else start
+            place[axis] = _clamp(writer, start, shape[axis] - sizes[axis]) if clips else start
         for axis, d in zip(window, numbers.update_window_dims, strict=True):
-            place[axis] = _plus(writer, place[axis], index[d])
+            place[axis] = _add(writer, place[axis], index[d])
         places[index] = tuple(place)
     return places

@@ -48,10 +48,15 @@ from jaxclear.native.writer import (
 
 
 def text_of(program: Program, lanes: int, checked: bool = False) -> str:
-    """The loop as LLVM code, function `NAME.loop(in, out, big)`, and what it calls; `checked`: it
-    takes one turn."""
+    """LLVM code of the loop, function `NAME.loop(in, out, big)`, and of what it calls.
+
+    Args:
+        program: the loop, its condition and body as JAX programs.
+        lanes: samples that it takes at once.
+        checked: whether it takes one turn only.
+    """
     writer = Writer(lanes, bool(program.length), checked)
-    values = _arguments(writer, program)
+    values = _load_arguments(writer, program)
     c, b = program.condition_constants, program.body_constants
     fixed_condition, fixed_body, first = values[:c], values[c : c + b], values[c + b :]
     first = handed_over(writer, program, first)
@@ -77,8 +82,8 @@ def text_of(program: Program, lanes: int, checked: bool = False) -> str:
         tables.invalidate_if_stopped(last[0].item(), first)
     position = 0
     for array, kind in zip(last, kinds, strict=True):
-        position += 0 if isinstance(array, InMemory) else _stored(writer, position, array, kind)
-    parts = [_head(lanes), *writer.frame, *writer.lines, "  ret void\n}"]
+        position += 0 if isinstance(array, InMemory) else _store(writer, position, array, kind)
+    parts = [_head_of_loop(lanes), *writer.frame, *writer.lines, "  ret void\n}"]
     needs = set(writer.needs)
     for name, make in elementary.DEFINITIONS.items():
         if name in needs:
@@ -88,7 +93,7 @@ def text_of(program: Program, lanes: int, checked: bool = False) -> str:
     return "\n".join([*sorted(needs), *parts, "!0 = !{}"])
 
 
-def _head(lanes: int) -> str:
+def _head_of_loop(lanes: int) -> str:
     """The first lines of the loop's function."""
     # LLVM lays a vector that it puts aside wherever the stack happens to be: across two lines of
     # the cache a step took 4 % longer, or not, as a change anywhere in the loop moved them.
@@ -99,7 +104,7 @@ def _head(lanes: int) -> str:
     )
 
 
-def _arguments(writer: Writer, program: Program) -> list:
+def _load_arguments(writer: Writer, program: Program) -> list:
     """Constants and first state: arrays of registers, loaded one by one, or arrays in memory."""
     constants, state = avals_of(program)
     position, slot = 0, 0
@@ -114,13 +119,13 @@ def _arguments(writer: Writer, program: Program) -> list:
             continue
         array = array_of(None, shape)
         for index in np.ndindex(*shape):
-            array[index] = _load(writer, position, kind)
+            array[index] = _load_number(writer, position, kind)
             position += 1
         values.append(array)
     return values
 
 
-def _load(writer: Writer, position: int, kind: str) -> str:
+def _load_number(writer: Writer, position: int, kind: str) -> str:
     place = writer.put(f"getelementptr double, ptr %in, i64 {position * writer.lanes}")
     value = writer.put(f"load {writer.wide(FLOAT)}, ptr {place}")
     if kind == INT:
@@ -211,7 +216,7 @@ def build(program: Program, lanes: int) -> Kernel:
         kernel = _KERNELS.get(number)
         if kernel is None:
             if check.is_check_enabled():
-                _checked(program, lanes)
+                _check_turn(program, lanes)
             kernel = _register_kernel(number, name, *object_code.load_or_compile(text))
         return kernel
 
@@ -224,8 +229,16 @@ def _register_kernel(number: int, name: str, engine: Any, key: str) -> Kernel:
 
 
 def restore_kernel(number: int, name: str, key: str) -> Kernel:
-    """A kernel of an earlier process, by the key under which it lies on disk. Raises
-    `FileNotFoundError` where it is not there."""
+    """A kernel of an earlier process, from the files in the cache.
+
+    Args:
+        number: by which programs call it.
+        name: in messages and profiles.
+        key: under which it is stored.
+
+    Raises:
+        FileNotFoundError: it is not in the cache.
+    """
     dispatch.register_with_xla()
     with _BUILDING:
         kernel = _KERNELS.get(number)
@@ -246,7 +259,7 @@ def turn_of(program: Program, lanes: int) -> check.Turn:
     return lambda samples: check.turn_by_kernel(program, address(), samples)
 
 
-def _checked(program: Program, lanes: int) -> None:
+def _check_turn(program: Program, lanes: int) -> None:
     """Raises `Unsupported` where one turn of the loop is not what JAX makes of it."""
     check.check(program, turn_of(program, lanes), functools.partial(check.turn_by_jax, program))
 
@@ -259,8 +272,13 @@ def keep(kernel: Kernel, module: Any) -> None:
 
 
 def over_numbers(head: str, count: str, lines: str) -> str:
-    """LLVM code of a function of this head that goes through so many numbers: what it does with the
-    one at `%k`."""
+    """LLVM code of a function that loops over numbers.
+
+    Args:
+        head: its name and parameters.
+        count: register or literal with the number of turns.
+        lines: code of a turn, which has the index in `%k`.
+    """
     return f"""define internal void @NAME.{head} {{
 entry:
   br label %more
@@ -318,7 +336,7 @@ class Tables:
         for k, (table, aval) in enumerate(zip(self.program.tables, self.avals, strict=True)):
             initial_row = 0 if table.start is None else self.constants[table.start]
             long = isinstance(initial_row, InMemory)
-            self._put(k, initial_row if long else array_of(initial_row, aval.shape), "0")
+            self._put_row(k, initial_row if long else array_of(initial_row, aval.shape), "0")
 
     def leave(self, row: Sequence[np.ndarray]) -> None:
         """A turn's row, each of its arrays at its place, where it has one."""
@@ -335,11 +353,11 @@ class Tables:
             writer.start(before_label)
             for k, table in enumerate(self.program.tables):
                 if (table.places, table.height) == (places, height):
-                    self._put(k, row[k], place)
+                    self._put_row(k, row[k], place)
             writer.say(f"br label %{after_label}")
             writer.start(after_label)
 
-    def _put(self, k: int, array: Any, place: str) -> None:
+    def _put_row(self, k: int, array: Any, place: str) -> None:
         """Every sample's numbers of an array into a row of its table."""
         writer, kind = self.writer, kind_of(self.avals[k].dtype)
         count = floats_in([self.avals[k]])
@@ -389,7 +407,13 @@ class Tables:
 
 
 def handed_over(writer: Writer, program: Program, state: Sequence[Any]) -> list[Any]:
-    """The first state, its long arrays where the kernel leaves them: what it is given stays."""
+    """The first state, with long arrays copied to where the kernel returns them; its inputs stay.
+
+    Args:
+        writer: LLVM text under construction.
+        program: the loop, its condition and body as JAX programs.
+        state: arrays of registers, or in memory.
+    """
     out, ahead = list(state), sum(in_memory(program))
     for k, i in enumerate(sorted(program.long)):
         places = array_starts(writer, ahead + k)
@@ -398,7 +422,7 @@ def handed_over(writer: Writer, program: Program, state: Sequence[Any]) -> list[
     return out
 
 
-def _stored(writer: Writer, position: int, array: Any, kind: str) -> int:
+def _store(writer: Writer, position: int, array: Any, kind: str) -> int:
     """Puts an array into the packed row, from a position on; how many numbers these are."""
     if not isinstance(array, Long):
         for k, value in enumerate(array.flat, position):
@@ -416,13 +440,26 @@ def _stored(writer: Writer, position: int, array: Any, kind: str) -> int:
 
 
 def store(writer: Writer, position: int, value: Any, kind: str) -> None:
-    """A number of the packed row."""
+    """Writes a number into the packed row of results.
+
+    Args:
+        writer: LLVM text under construction.
+        position: of the number in the row.
+        value: register name or Python number.
+        kind: of the number: `FLOAT`, `INT` or `TRUTH`.
+    """
     place = writer.put(f"getelementptr double, ptr %out, i64 {position * writer.lanes}")
     writer.say(f"store {writer.wide(FLOAT)} {as_float(writer, value, kind)}, ptr {place}")
 
 
 def as_float(writer: Writer, value: Any, kind: str) -> str:
-    """A number of any kind as the float that stands for it in memory."""
+    """A number of any kind as the float that stands for it in memory.
+
+    Args:
+        writer: LLVM text under construction.
+        value: register name or Python number.
+        kind: of the number: `FLOAT`, `INT` or `TRUTH`.
+    """
     word = writer.text(value, kind)
     if kind == FLOAT:
         return word

@@ -24,7 +24,7 @@ MARKS = 9
 
 @rule("jaxclear_symmetric_solve")
 @long_rule("jaxclear_symmetric_solve")
-def _solve(writer, equation, *operands):
+def _write_solve(writer, equation, *operands):
     system, lead = _System(writer, equation.params["pattern"]), operands[-1].shape[:-1]
     if not lead:
         return system.solved(*operands)
@@ -45,13 +45,13 @@ class _System:
     def solved(self, *operands: Any) -> Any:
         """The solution for a matrix, with the least pivots or without, and a right-hand side."""
         *matrix, right = operands
-        factors = self._factorised(*matrix)
+        factors = self._factor_in_memory(*matrix)
         x = Buffer(self.writer, right.shape, FLOAT)
-        self._put(x, self.tables.unknown, right)
-        self._call("solve", factors, x)
+        self._put_numbers(x, self.tables.unknown, right)
+        self._call_function("solve", factors, x)
         return view(self.writer, x.array(), FLOAT, np.array(self.tables.unknown))
 
-    def _factorised(self, entries: Any, least: Any = None) -> Buffer:
+    def _factor_in_memory(self, entries: Any, least: Any = None) -> Buffer:
         """Memory with the factors of a matrix."""
         writer, tables, number = self.writer, self.tables, self.number
         names = (tuple(a.flat) if isinstance(a, np.ndarray) else a for a in (entries, least))
@@ -65,18 +65,18 @@ class _System:
             writer.factors[number, slot] = Buffer(writer, (tables.numbers,), FLOAT)
         buffer = writer.factors[number, slot]
         filled = sorted(set(range(tables.numbers)) - set(tables.at))
-        self._put(buffer, filled, np.zeros(len(filled), object))
-        self._put(buffer, tables.at, entries)
+        self._put_numbers(buffer, filled, np.zeros(len(filled), object))
+        self._put_numbers(buffer, tables.at, entries)
         if least is None:
-            self._call("factorise", buffer)
+            self._call_function("factorise", buffer)
         else:
             bounds = Buffer(writer, least.shape, FLOAT)
-            self._put(bounds, tables.unknown, least)
-            self._call("factorise_some", buffer, bounds)
+            self._put_numbers(bounds, tables.unknown, least)
+            self._call_function("factorise_some", buffer, bounds)
         owners[key] = slot
         return buffer
 
-    def _put(self, buffer: Buffer, places: Sequence[int], array: Any) -> None:
+    def _put_numbers(self, buffer: Buffer, places: Sequence[int], array: Any) -> None:
         """Puts the numbers of an array at places in memory."""
         writer = self.writer
         if isinstance(array, np.ndarray):
@@ -92,28 +92,28 @@ class _System:
 
         for_each(writer, len(places), turn)
 
-    def _call(self, name: str, *rooms: Buffer) -> None:
-        make = _solving if name == "solve" else _factorising
+    def _call_function(self, name: str, *rooms: Buffer) -> None:
+        make = _solve_function if name == "solve" else _factor_function
         function = make(self.writer, name, self.number, self.tables)
-        self.writer.needs |= {_tables(self.number, self.tables), function}
+        self.writer.needs |= {_table_constants(self.number, self.tables), function}
         pointer_arguments = ", ".join(f"ptr {buffer.start}" for buffer in rooms)
         self.writer.say(f"call void @NAME.{name}{self.number}({pointer_arguments})")
 
 
-def _tables(number: int, tables: Tables) -> str:
+def _table_constants(number: int, tables: Tables) -> str:
     """The tables as constants."""
     return "\n".join(
-        _constant(f"{name}{number}", np.array(getattr(tables, name)))
+        _constant_line(f"{name}{number}", np.array(getattr(tables, name)))
         for name in ("columns", "update_starts", "updates", "solve_starts", "solves")
     )
 
 
-def _constant(name: str, values: np.ndarray) -> str:
+def _constant_line(name: str, values: np.ndarray) -> str:
     numbers = ", ".join(f"i32 {value}" for value in values.ravel())
     return f"@NAME.{name} = private constant [{values.size} x i32] [{numbers}]"
 
 
-def _read(table: str, *names: str, line: str) -> str:
+def _read_table_line(table: str, *names: str, line: str) -> str:
     """Lines that give names to the numbers in a line of a table of as many columns."""
     out, width = [], len(names)
     for column, name in enumerate(names):
@@ -123,7 +123,7 @@ def _read(table: str, *names: str, line: str) -> str:
     return "\n".join(out)
 
 
-def _factorising(writer: Writer, name: str, number: int, tables: Tables) -> str:
+def _factor_function(writer: Writer, name: str, number: int, tables: Tables) -> str:
     """The function that puts the factors of a matrix in its place: of every column the inverse of
     its pivot, then L."""
     wide, one = writer.wide(FLOAT), writer.text(1.0, FLOAT)
@@ -145,10 +145,10 @@ entry:
 column:
   %j = phi i64 [ 0, %entry ], [ %after, %next ]
   %after = add i64 %j, 1
-{_read(f"columns{number}", "start", line="%j")}
-{_read(f"columns{number}", "end", line="%after")}
-{_read(f"update_starts{number}", "line.first", line="%j")}
-{_read(f"update_starts{number}", "line.end", line="%after")}
+{_read_table_line(f"columns{number}", "start", line="%j")}
+{_read_table_line(f"columns{number}", "end", line="%after")}
+{_read_table_line(f"update_starts{number}", "line.first", line="%j")}
+{_read_table_line(f"update_starts{number}", "line.end", line="%after")}
   %pivot.at = getelementptr {wide}, ptr %a, i64 %start
   %{"said" if some else "pivot"} = load {wide}, ptr %pivot.at{bounded if some else ""}
   %inverse = fdiv {wide} {one}, %pivot
@@ -170,7 +170,7 @@ scale:
   br i1 %e.more, label %scale, label %update
 update:
   %line = phi i64 [ %line.first, %scale ], [ %line.next, %updated ]
-{_read(f"updates{number}", "target", "source", "share", "length", line="%line")}
+{_read_table_line(f"updates{number}", "target", "source", "share", "length", line="%line")}
   %factor.at = getelementptr {wide}, ptr %ahead, i64 %share
   %factor = load {wide}, ptr %factor.at
   br label %stretch
@@ -207,14 +207,14 @@ done:
 STRETCH = ("row", "source", "length")
 
 
-def _solving(writer: Writer, name: str, number: int, tables: Tables) -> str:
+def _solve_function(writer: Writer, name: str, number: int, tables: Tables) -> str:
     """The function that puts the solution in the place of a right-hand side b: y of L y = b, column
     by column, and over the pivots; x of L^T x = y, from the end."""
     wide, last = writer.wide(FLOAT), len(tables.unknown) - 1
     domain, loop, parallel = (f"!{MARKS * number + k}" for k in (7, 8, 9))
     return f"""define internal void @NAME.{name}{number}(ptr noalias %a, ptr noalias %x) noinline {{
-{_forwards(wide, number, last, f", !llvm.access.group {domain}", f", !llvm.loop {loop}")}
-{_backwards(wide, number, last)}
+{_forward_lines(wide, number, last, f", !llvm.access.group {domain}", f", !llvm.loop {loop}")}
+{_backward_lines(wide, number, last)}
 done:
   ret void
 }}
@@ -223,17 +223,17 @@ done:
 {parallel} = !{{!"llvm.loop.parallel_accesses", {domain}}}"""
 
 
-def _of_column(wide: str, number: int, ahead: str) -> str:
+def _column_lines(wide: str, number: int, ahead: str) -> str:
     """Lines that begin with a column: its place `j`, and the unknown there."""
     return f"""  %{ahead}j.next = add i64 %{ahead}j, 1
-{_read(f"solve_starts{number}", f"{ahead}line.first", line=f"%{ahead}j")}
-{_read(f"solve_starts{number}", f"{ahead}line.end", line=f"%{ahead}j.next")}
+{_read_table_line(f"solve_starts{number}", f"{ahead}line.first", line=f"%{ahead}j")}
+{_read_table_line(f"solve_starts{number}", f"{ahead}line.end", line=f"%{ahead}j.next")}
   %{ahead}x.at = getelementptr {wide}, ptr %x, i64 %{ahead}j
   %{ahead}x.said = load {wide}, ptr %{ahead}x.at
   %{ahead}any = icmp slt i64 %{ahead}line.first, %{ahead}line.end"""
 
 
-def _entry(wide: str, ahead: str, marks: str = "") -> str:
+def _entry_lines(wide: str, ahead: str, marks: str = "") -> str:
     """Lines with an entry of L and the unknown of its row."""
     return f"""  %{ahead}r = add i64 %{ahead}row, %{ahead}q
   %{ahead}r.at = getelementptr {wide}, ptr %x, i64 %{ahead}r
@@ -243,14 +243,14 @@ def _entry(wide: str, ahead: str, marks: str = "") -> str:
   %{ahead}l = load {wide}, ptr %{ahead}s.at{marks}"""
 
 
-def _forwards(wide: str, number: int, last: int, access: str, parallel: str) -> str:
+def _forward_lines(wide: str, number: int, last: int, access: str, parallel: str) -> str:
     """Lines of the columns from the first to the last."""
     return f"""entry:
   br label %column
 column:
   %j = phi i64 [ 0, %entry ], [ %j.next, %next ]
-{_of_column(wide, number, "")}
-{_read(f"columns{number}", "start", line="%j")}
+{_column_lines(wide, number, "")}
+{_read_table_line(f"columns{number}", "start", line="%j")}
   %pivot.at = getelementptr {wide}, ptr %a, i64 %start
   %inverse = load {wide}, ptr %pivot.at
   %over = fmul {wide} %x.said, %inverse
@@ -258,11 +258,11 @@ column:
   br i1 %any, label %update, label %next
 update:
   %line = phi i64 [ %line.first, %column ], [ %line.next, %updated ]
-{_read(f"solves{number}", *STRETCH, line="%line")}
+{_read_table_line(f"solves{number}", *STRETCH, line="%line")}
   br label %stretch
 stretch:
   %q = phi i64 [ 0, %update ], [ %q.next, %stretch ]
-{_entry(wide, "", access)}
+{_entry_lines(wide, "", access)}
   %part = fmul contract {wide} %l, %x.said
   %new = fsub contract {wide} %old, %part
   store {wide} %new, ptr %r.at{access}
@@ -278,21 +278,21 @@ next:
   br i1 %more, label %column, label %b.column"""
 
 
-def _backwards(wide: str, number: int, last: int) -> str:
+def _backward_lines(wide: str, number: int, last: int) -> str:
     """Lines of the columns from the last to the first."""
     return f"""b.column:
   %b.j = phi i64 [ {last}, %next ], [ %b.j.before, %b.next ]
-{_of_column(wide, number, "b.")}
+{_column_lines(wide, number, "b.")}
   br i1 %b.any, label %b.update, label %b.next
 b.update:
   %b.line = phi i64 [ %b.line.first, %b.column ], [ %b.line.next, %b.updated ]
   %b.begun = phi {wide} [ %b.x.said, %b.column ], [ %b.new, %b.updated ]
-{_read(f"solves{number}", *(f"b.{each}" for each in STRETCH), line="%b.line")}
+{_read_table_line(f"solves{number}", *(f"b.{each}" for each in STRETCH), line="%b.line")}
   br label %b.stretch
 b.stretch:
   %b.q = phi i64 [ 0, %b.update ], [ %b.q.next, %b.stretch ]
   %b.sum = phi {wide} [ %b.begun, %b.update ], [ %b.new, %b.stretch ]
-{_entry(wide, "b.")}
+{_entry_lines(wide, "b.")}
   %b.part = fmul contract {wide} %b.l, %b.old
   %b.new = fsub contract {wide} %b.sum, %b.part
   %b.q.next = add i64 %b.q, 1

@@ -34,7 +34,13 @@ LONGEST_LOOKED_UP = 11
 
 
 def for_each(writer: Writer, count: int, turn: Callable[[str], None]) -> None:
-    """A loop of so many turns, each told its number; they leave what they find in memory."""
+    """Writes a loop with a fixed number of turns, which leave their results in memory.
+
+    Args:
+        writer: LLVM text under construction.
+        count: number of turns.
+        turn: function that writes a turn; it gets the register of the index.
+    """
     head, behind = writer.fresh("each")[1:], writer.fresh("all")[1:]
     before = writer.block
     writer.say(f"br label %{head}")
@@ -72,9 +78,9 @@ class Buffer:
 
     def array(self) -> Long:
         """What stands in it."""
-        return Long(self.shape, self.kind, self._entry, self)
+        return Long(self.shape, self.kind, self._load_entry, self)
 
-    def _entry(self, index: Any) -> str:
+    def _load_entry(self, index: Any) -> str:
         wide = self.writer.wide(self.kind)
         return self.writer.put(f"load {wide}, ptr {self._place(index)}")
 
@@ -84,7 +90,13 @@ class Buffer:
 
 
 def entries_of(writer: Writer, array: Any, kind: str) -> Callable[[Any], Any]:
-    """A function from an index, known or in a register, to an entry of an array of any kind."""
+    """A function from an index, known or in a register, to an entry of an array.
+
+    Args:
+        writer: LLVM text under construction.
+        array: of registers, in memory, or long.
+        kind: of its numbers: `FLOAT`, `INT` or `TRUTH`.
+    """
     if isinstance(array, Long):
         return array.entry
     if isinstance(array, InMemory):
@@ -93,11 +105,11 @@ def entries_of(writer: Writer, array: Any, kind: str) -> Callable[[Any], Any]:
     if len(flat) and all(x is flat[0] or x == flat[0] for x in flat):
         return lambda _: flat[0]
     if kind == FLOAT and is_num(*flat):
-        return lambda k: flat[k] if is_num(k) else _looked_up(writer, flat, k)
+        return lambda k: flat[k] if is_num(k) else _look_up(writer, flat, k)
     return stored(writer, array, kind).entry
 
 
-def _looked_up(writer: Writer, numbers: np.ndarray, index: str) -> str:
+def _look_up(writer: Writer, numbers: np.ndarray, index: str) -> str:
     """One of many known numbers."""
     table = writer.table(numbers, FLOAT)
     place = writer.put(f"getelementptr double, ptr {table}, i64 {index}")
@@ -105,7 +117,13 @@ def _looked_up(writer: Writer, numbers: np.ndarray, index: str) -> str:
 
 
 def stored(writer: Writer, array: Any, kind: str) -> Long:
-    """An array, in registers or looked up, as one in memory of its own."""
+    """An array copied into memory of its own.
+
+    Args:
+        writer: LLVM text under construction.
+        array: of registers, in memory, or looked up.
+        kind: of its numbers: `FLOAT`, `INT` or `TRUTH`.
+    """
     buffer = Buffer(writer, tuple(array.shape), kind)
     if isinstance(array, (Long, InMemory)) or (kind == FLOAT and is_num(*array.flat)):
         entry = entries_of(writer, array, kind)
@@ -117,18 +135,25 @@ def stored(writer: Writer, array: Any, kind: str) -> Long:
 
 
 def view(writer: Writer, array: Any, kind: str, places: np.ndarray) -> Any:
-    """The entries of an array at known row-major places, in the shape of these."""
+    """The entries of an array at known places, in registers if there are few.
+
+    Args:
+        writer: LLVM text under construction.
+        array: of registers, in memory, or long.
+        kind: of its numbers: `FLOAT`, `INT` or `TRUTH`.
+        places: row-major indices; their shape is that of the result.
+    """
     entry, flat = entries_of(writer, array, kind), places.ravel()
     if len(flat) <= LONGEST_LOOKED_UP:
         entries = array_of(None, (len(flat),))
         for k, place in enumerate(flat.tolist()):
             entries[k] = entry(place)
         return entries.reshape(places.shape)
-    index = _index(writer, flat)
+    index = _index_of_places(writer, flat)
     return Long(places.shape, kind, lambda k: entry(index(k)))
 
 
-def _index(writer: Writer, places: np.ndarray) -> Callable[[Any], Any]:
+def _index_of_places(writer: Writer, places: np.ndarray) -> Callable[[Any], Any]:
     """Known places, by a number that is known or in a register."""
     first, step = int(places[0]), int(places[-1] - places[0]) // max(len(places) - 1, 1)
     if (np.diff(places) == step).all():
@@ -155,12 +180,20 @@ def _index(writer: Writer, places: np.ndarray) -> Callable[[Any], Any]:
 def changed(
     writer: Writer, array: Any, kind: str, places: np.ndarray, update: Any, combine: Callable
 ) -> Long:
-    """An array whose entries at known row-major places are `combine`d with those of an update, one
-    after the other."""
+    """A copy of an array, with entries at known places combined with an update, one after another.
+
+    Args:
+        writer: LLVM text under construction.
+        array: of registers, in memory, or long.
+        kind: of its numbers: `FLOAT`, `INT` or `TRUTH`.
+        places: row-major indices, in the shape of the update.
+        update: array of registers, in memory, or long.
+        combine: function that writes the new entry from the old one and that of the update.
+    """
     out, entry, index = stored(writer, array, kind).buffer, entries_of(writer, update, kind), None
     if not places.size:
         return out.array()
-    index, old_entry = _index(writer, places.ravel()), out.array().entry
+    index, old_entry = _index_of_places(writer, places.ravel()), out.array().entry
 
     def put(k):
         place = index(k)
@@ -171,7 +204,15 @@ def changed(
 
 
 def unstacked(writer: Writer, equation: Any, array: Any, kind: str, places: np.ndarray) -> list:
-    """Rows of an array, those that the program reads: each row's numbers at known places."""
+    """The rows of an array that the program reads; empty arrays for the others.
+
+    Args:
+        writer: LLVM text under construction.
+        equation: of the primitive; outputs that it drops are not read.
+        array: of registers, in memory, or long.
+        kind: of its numbers: `FLOAT`, `INT` or `TRUTH`.
+        places: row-major indices, a row for each output.
+    """
     return [
         array_of(None, row.shape) if isinstance(atom, DropVar) else view(writer, array, kind, row)
         for row, atom in zip(places, equation.outvars, strict=True)
@@ -179,7 +220,14 @@ def unstacked(writer: Writer, equation: Any, array: Any, kind: str, places: np.n
 
 
 def joined(writer: Writer, arrays: Sequence[Any], kind: str, axis: int) -> Any:
-    """Arrays one behind the other along an axis, some of them long."""
+    """Arrays joined along an axis, at least one of them long.
+
+    Args:
+        writer: LLVM text under construction.
+        arrays: of registers, in memory, or long.
+        kind: of all their numbers: `FLOAT`, `INT` or `TRUTH`.
+        axis: along which they follow each other.
+    """
     places, start = [], 0
     for array in arrays:
         count = math.prod(array.shape)
@@ -206,18 +254,24 @@ def joined(writer: Writer, arrays: Sequence[Any], kind: str, axis: int) -> Any:
 
 
 def rows_joined(writer: Writer, rows: Sequence[Any], kind: str) -> Any:
-    """Arrays of one shape as the rows of one."""
+    """Arrays of one shape as the rows of one array, which is long where one of them is.
+
+    Args:
+        writer: LLVM text under construction.
+        rows: arrays of registers, or long.
+        kind: of all their numbers: `FLOAT`, `INT` or `TRUTH`.
+    """
     if not any(isinstance(row, Long) for row in rows):
         return np.stack(rows)
-    return joined(writer, [_as_a_row(row) for row in rows], kind, 0)
+    return joined(writer, [_as_row(row) for row in rows], kind, 0)
 
 
-def _as_a_row(array: Any) -> Any:
+def _as_row(array: Any) -> Any:
     shape = (1, *array.shape)
     return array.reshaped(shape) if isinstance(array, Long) else array.reshape(shape)
 
 
-def _over_shape(writer: Writer, array: Any, kind: str, shape: tuple[int, ...]) -> Callable:
+def _broadcast_entries(writer: Writer, array: Any, kind: str, shape: tuple[int, ...]) -> Callable:
     """The entries of an array as those of one of this shape: of an axis of length 1 the one entry
     stands for all."""
     if math.prod(array.shape) == 1:
@@ -227,17 +281,24 @@ def _over_shape(writer: Writer, array: Any, kind: str, shape: tuple[int, ...]) -
     if tuple(array.shape) == shape:
         return entry
     places = np.arange(math.prod(array.shape)).reshape(array.shape)
-    index = _index(writer, np.broadcast_to(places, shape).ravel())
+    index = _index_of_places(writer, np.broadcast_to(places, shape).ravel())
     return lambda k: entry(index(k))
 
 
 def entrywise(writer: Writer, rule: Callable, equation: Any, arrays: Sequence[Any]) -> Long:
-    """An operation that acts on each entry by itself, of long arrays and single numbers."""
+    """An elementwise operation on long arrays, as a loop over entries.
+
+    Args:
+        writer: LLVM text under construction.
+        rule: function that writes the operation for single numbers.
+        equation: of the primitive, with the shape of the result.
+        arrays: operands: long arrays of this shape, and single numbers.
+    """
     aval = equation.outvars[0].aval
     kinds = [kind_of(atom.aval.dtype) for atom in equation.invars]
     buffer = Buffer(writer, tuple(aval.shape), kind_of(aval.dtype))
     pairs = zip(arrays, kinds, strict=True)
-    each = [_over_shape(writer, array, kind, buffer.shape) for array, kind in pairs]
+    each = [_broadcast_entries(writer, array, kind, buffer.shape) for array, kind in pairs]
 
     def turn(k):
         entry_result = rule(writer, equation, *[array_of(entry(k), ()) for entry in each])
@@ -250,8 +311,15 @@ def entrywise(writer: Writer, rule: Callable, equation: Any, arrays: Sequence[An
 def mapped(
     writer: Writer, rows: Sequence[Any], kinds: Sequence[str], avals: Sequence[Any], body: Callable
 ) -> list[Long]:
-    """What a function makes of each row of arrays: arrays of these shapes and types. `body`: from
-    arrays of registers to such."""
+    """Results of a function of each row of arrays, as a loop over rows.
+
+    Args:
+        writer: LLVM text under construction.
+        rows: arrays with rows along their first axis.
+        kinds: of each of these.
+        avals: shapes and types of the results, rows along their first axis.
+        body: function that writes one turn: from a list of arrays of registers to a list of such.
+    """
     rooms = [Buffer(writer, tuple(aval.shape), kind_of(aval.dtype)) for aval in avals]
     entries = [entries_of(writer, row, kind) for row, kind in zip(rows, kinds, strict=True)]
 
@@ -279,8 +347,15 @@ LONGEST_CARRIED = 256
 
 
 def carried_in_memory(writer: Writer, carry: Sequence[Any], kinds: Sequence[str]) -> list[Any]:
-    """For each array that a loop hands from turn to turn the memory that it stands in, with what it
-    is at first; None for those in registers, and those whose places in memory are given."""
+    """Memory for each array that a loop carries, filled with its first value.
+
+    None for arrays in registers, and for those that have a place in memory already.
+
+    Args:
+        writer: LLVM text under construction.
+        carry: first state of the loop.
+        kinds: of its arrays.
+    """
     rooms: list[Buffer | None] = []
     for array, kind in zip(carry, kinds, strict=True):
         buffer = None
@@ -295,7 +370,13 @@ def carried_in_memory(writer: Writer, carry: Sequence[Any], kinds: Sequence[str]
 
 
 def fill(writer: Writer, buffer: Buffer, array: Any) -> None:
-    """Puts an array where it is to stand. Samples that have ended keep what stands there."""
+    """Writes an array into memory; samples that have ended keep what is there.
+
+    Args:
+        writer: LLVM text under construction.
+        buffer: memory of the array's shape and kind.
+        array: of registers, in memory, or long.
+    """
     old_entry = buffer.array().entry
 
     def put(k, value):
@@ -312,8 +393,15 @@ def fill(writer: Writer, buffer: Buffer, array: Any) -> None:
 
 
 def put_back(writer: Writer, rooms: Sequence[Buffer | None], after: Sequence[Any]) -> None:
-    """What a turn leaves, where the next one finds it. What is looked up in arrays before this turn
-    is worked out before one of them changes."""
+    """Writes the state after a turn to where the next turn reads it.
+
+    Entries that are looked up in arrays before this turn are computed before one of them changes.
+
+    Args:
+        writer: LLVM text under construction.
+        rooms: memory of each array; None for those in registers.
+        after: state after the turn.
+    """
     new_values = []
     for buffer, array in zip(rooms, after, strict=True):
         elsewhere = (

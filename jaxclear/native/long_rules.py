@@ -55,7 +55,7 @@ HANDED_ON: tuple[str, ...] = (
 HANDED_ON += ("scan", "while", "cond", "jaxclear_loop")
 
 
-def _by_entries(rule: Callable) -> Callable:
+def _rule_by_entries(rule: Callable) -> Callable:
     """The rule for long arrays of an operation on each entry by itself."""
 
     def entry_rule(writer, equation, *arrays):
@@ -68,54 +68,54 @@ def _by_entries(rule: Callable) -> Callable:
 
 for _name in ENTRYWISE:
     if _name in RULES:
-        long_rule(_name)(_by_entries(RULES[_name]))
+        long_rule(_name)(_rule_by_entries(RULES[_name]))
 for _name in HANDED_ON:
     if _name in RULES:
         long_rule(_name)(RULES[_name])
 
 
 @long_rule("reshape", "squeeze", "expand_dims")
-def _reshaped(writer, equation, a):
+def _reshape_long(writer, equation, a):
     return a.reshaped(tuple(equation.outvars[0].aval.shape))
 
 
 @long_rule("broadcast_in_dim")
-def _broadcast(writer, equation, a):
+def _broadcast_long(writer, equation, a):
     shape, axes = equation.params["shape"], equation.params["broadcast_dimensions"]
     wide = [1] * len(shape)
     for axis, size in zip(axes, a.shape, strict=True):
         wide[axis] = size
-    return view(writer, a, a.kind, np.broadcast_to(_places(a).reshape(wide), shape))
+    return view(writer, a, a.kind, np.broadcast_to(_flat_places(a).reshape(wide), shape))
 
 
-def _places(a):
+def _flat_places(a):
     return np.arange(a.size).reshape(a.shape)
 
 
 @long_rule("transpose")
-def _transposed(writer, equation, a):
-    return view(writer, a, a.kind, _places(a).transpose(equation.params["permutation"]))
+def _transpose_long(writer, equation, a):
+    return view(writer, a, a.kind, _flat_places(a).transpose(equation.params["permutation"]))
 
 
 @long_rule("slice")
-def _sliced(writer, equation, a):
-    return view(writer, a, a.kind, _places(a)[spans_of(equation)])
+def _slice_long(writer, equation, a):
+    return view(writer, a, a.kind, _flat_places(a)[spans_of(equation)])
 
 
 @long_rule("unstack")
-def _unstacked(writer, equation, a):
-    places = np.moveaxis(_places(a), equation.params["axis"], 0)
+def _unstack_long(writer, equation, a):
+    places = np.moveaxis(_flat_places(a), equation.params["axis"], 0)
     return unstacked(writer, equation, a, a.kind, places)
 
 
 @long_rule("concatenate")
-def _concatenated(writer, equation, *arrays):
+def _concatenate_long(writer, equation, *arrays):
     kind = kind_of(equation.outvars[0].aval.dtype)
     return joined(writer, arrays, kind, equation.params["dimension"])
 
 
 @long_rule("gather")
-def _gathered(writer, equation, a, indices):
+def _gather_long(writer, equation, a, indices):
     places = gathered_places(equation, a.shape, in_registers(indices))
     if places is None:
         return RULES["gather"](writer, equation, in_registers(a), in_registers(indices))
@@ -123,7 +123,7 @@ def _gathered(writer, equation, a, indices):
 
 
 @long_rule("scatter", "scatter-add")
-def _scattered(writer, equation, a, indices, update):
+def _scatter_long(writer, equation, a, indices, update):
     name, numbers = equation.primitive.name, equation.params["dimension_numbers"]
     indices, kind = in_registers(indices), kind_of(equation.invars[0].aval.dtype)
     unknown = not is_num(*indices.flat) or numbers.operand_batching_dims
@@ -140,7 +140,7 @@ def _scattered(writer, equation, a, indices, update):
 
 
 @long_rule("reduce_sum", "reduce_max", "reduce_min", "reduce_and", "reduce_or")
-def _reduced(writer, equation, a):
+def _reduce_long(writer, equation, a):
     """Over all axes, one entry after the other."""
     if len(equation.params["axes"]) < len(a.shape):
         return RULES[equation.primitive.name](writer, equation, in_registers(a))
@@ -158,6 +158,6 @@ def _reduced(writer, equation, a):
 
 @rule("jaxclear_in_memory")
 @long_rule("jaxclear_in_memory")
-def _in_memory(writer, equation, a):
+def _keep_in_memory(writer, equation, a):
     few = math.prod(a.shape) <= LONGEST_IN_REGISTERS
     return a if few or isinstance(a, Long) else stored(writer, a, kinds_of(equation)[0])

@@ -76,7 +76,7 @@ def reference(*values: Any, program: Program, function_of: Callable = jaxpr_as_f
         # The loops within it are then kernels by themselves.
         turns = function_of(loops_marked(program.body, within=False))
         places = [fixed_body[table.places] for table in program.tables]
-        empty = list(map(_initial_rows(fixed_body), program.tables, row_of(program)))
+        empty = list(map(_initial_table_rows(fixed_body), program.tables, row_of(program)))
 
         def turn(carry, index):
             state, tables = carry
@@ -94,7 +94,7 @@ def reference(*values: Any, program: Program, function_of: Callable = jaxpr_as_f
     )
 
 
-def _initial_rows(constants: Sequence[Any]) -> Callable[[Table, Any], Any]:
+def _initial_table_rows(constants: Sequence[Any]) -> Callable[[Table, Any], Any]:
     """What a table, of rows of a shape and type, holds before the first turn."""
 
     def initial_table(table, aval):
@@ -108,23 +108,23 @@ def reference_of_batch(*values: Any, program: Program, rank: int) -> list:
     """The same for batches of so many leading axes."""
     function = functools.partial(reference, program=program)
     one_by_one = program.single_turn and not program.vmapped
-    return _of_batch(function, _row_by_row if one_by_one else jax.vmap, values, program, rank)
+    return _for_batch(function, _by_rows if one_by_one else jax.vmap, values, program, rank)
 
 
 def reference_in_pieces(*values: Any, program: Program, rank: int) -> list:
     """The same for accelerators: samples side by side, programs `in_pieces`."""
     function = functools.partial(reference, program=program, function_of=in_pieces)
-    return _of_batch(function, jax.vmap, values, program, rank)
+    return _for_batch(function, jax.vmap, values, program, rank)
 
 
-def _of_batch(function, batched, values, program, rank):
+def _for_batch(function, batched, values, program, rank):
     axes = [None if i in program.shared else 0 for i in range(len(values))]
     for _ in range(rank):
         function = batched(function, axes)
     return function(*values)
 
 
-def _row_by_row(function, axes):
+def _by_rows(function, axes):
     # XLA would fuse what a long function works out into every place that reads it, over whole
     # arrays, and compile without end.
     def by_row(*values):
@@ -196,7 +196,7 @@ def _batch(values, dims, *, program, rank):
 batching.primitive_batchers[loop_p] = _batch
 
 
-def _native(*values, program, rank, number, columnar=False):
+def _call_kernel(*values, program, rank, number, columnar=False):
     """Through the kernel of this number; `columnar`: one whose samples stand side by side in
     memory, the entries of an array as far apart as there are samples."""
     _, state = avals_of(program)
@@ -215,21 +215,21 @@ def _native(*values, program, rank, number, columnar=False):
     shapes += [(t.height, *aval.shape) for t, aval in zip(program.tables, row, strict=True)]
     packed_rows = jnp.concatenate(rows, -1)
     if columnar:
-        results = _side_by_side(packed_rows, big, batched, batch, shapes, number)
+        results = _call_columnar_kernel(packed_rows, big, batched, batch, shapes, number)
     else:
         call = jax.ffi.ffi_call(dispatch.TARGET, [_floats((*batch, *each)) for each in shapes])
         results = call(packed_rows, *big, kernel=np.int64(number))
     packed, *arrays = results
-    results, batched = iter(_unpacked(packed, short)), iter(arrays)
+    results, batched = iter(_unpack_floats(packed, short)), iter(arrays)
     last = [next(batched if i in program.long else results) for i in range(len(state))]
-    return [*last, *(_typed(each, aval.dtype) for each, aval in zip(batched, row, strict=True))]
+    return [*last, *(_as_type(each, aval.dtype) for each, aval in zip(batched, row, strict=True))]
 
 
 def _floats(shape: tuple[int, ...]) -> jax.ShapeDtypeStruct:
     return jax.ShapeDtypeStruct(shape, jnp.float64)
 
 
-def _side_by_side(rows, arrays, batched, batch, shapes, number):
+def _call_columnar_kernel(rows, arrays, batched, batch, shapes, number):
     """What a kernel gives whose arrays are (numbers of a sample, samples), but for those that
     all samples share (not `batched`)."""
     samples = math.prod(batch)
@@ -241,22 +241,22 @@ def _side_by_side(rows, arrays, batched, batch, shapes, number):
     return [jnp.reshape(each.T, (*batch, *shape)) for each, shape in pairs]
 
 
-def _unpacked(packed: Any, avals: Sequence[Any]) -> list:
+def _unpack_floats(packed: Any, avals: Sequence[Any]) -> list:
     """Arrays of these shapes and types, behind the leading axes, from rows of floats."""
     out, position, lead = [], 0, packed.shape[:-1]
     for aval in avals:
         size = int(np.prod(aval.shape))
         part = packed[..., position : position + size].reshape(lead + aval.shape)
-        out.append(_typed(part, aval.dtype))
+        out.append(_as_type(part, aval.dtype))
         position += size
     return out
 
 
-def _typed(floats: Any, kind: Any) -> Any:
+def _as_type(floats: Any, kind: Any) -> Any:
     return (floats != 0) if np.dtype(kind) == np.bool_ else floats.astype(kind)
 
 
-def _by_portions(*values, program, rank, samples):
+def _run_by_portions(*values, program, rank, samples):
     def run(arguments, narrower, rank):
         portion_program = narrower._replace(shared=program.shared)
         return loop_p.bind(*arguments, program=portion_program, rank=rank)
@@ -278,11 +278,11 @@ def _is_set(variable: str) -> bool:
     return os.environ.get(variable, "0") not in ("", "0")
 
 
-def _switched_off() -> bool:
+def _is_switched_off() -> bool:
     return _is_set("JAXCLEAR_PLAIN_LOOPS")
 
 
-def _on_gpu() -> Any:
+def _gpu_module() -> Any:
     """What makes kernels on a GPU; most processes have none, and do without it."""
     return importlib.import_module("jaxclear.native.gpu")
 
@@ -290,12 +290,12 @@ def _on_gpu() -> Any:
 def has_kernels() -> bool:
     """Whether loops become kernels here at all: on a CPU, and on a GPU where that is asked for,
     unless they are switched off."""
-    if _switched_off():
+    if _is_switched_off():
         return False
     if jax.default_backend() == "cpu":
         return True
     if jax.default_backend() == "gpu" and _is_set(ON_GPU):
-        return _on_gpu().is_ready()
+        return _gpu_module().is_ready()
     return False
 
 
@@ -305,16 +305,16 @@ def _lower_on_cpu(ctx, *values, program, rank):
         kernels.keep(kernel, ctx.module_context)
         return kernel.number
 
-    return _lower_as_kernel(ctx, values, program, rank, kernel, _native, reference_of_batch)
+    return _lower_as_kernel(ctx, values, program, rank, kernel, _call_kernel, reference_of_batch)
 
 
 def _lower_on_cuda(ctx, *values, program, rank):
     if not _is_set(ON_GPU):
         return _lower_elsewhere(ctx, *values, program=program, rank=rank)
-    call = functools.partial(_native, columnar=True)
+    call = functools.partial(_call_kernel, columnar=True)
 
     def kernel(_):
-        return _on_gpu().build(program, call).number
+        return _gpu_module().build(program, call).number
 
     return _lower_as_kernel(ctx, values, program, rank, kernel, call, reference_in_pieces)
 
@@ -325,11 +325,11 @@ def _lower_as_kernel(ctx, values, program, rank, kernel, call, instead):
     elsewhere = functools.partial(
         _lower_elsewhere, ctx, *values, program=program, rank=rank, written=instead
     )
-    if _switched_off():
+    if _is_switched_off():
         return elsewhere(reason=SWITCHED_OFF)
     samples = int(np.prod(ctx.avals_in[-1].shape[:rank]))
     if program.narrow is not None and side_by_side(program, samples) < program.narrow.tangents:
-        lower = mlir.lower_fun(_by_portions, multiple_results=True)
+        lower = mlir.lower_fun(_run_by_portions, multiple_results=True)
         return lower(ctx, *values, program=program, rank=rank, samples=samples)
     try:
         number = kernel(samples)
@@ -416,7 +416,7 @@ def _differentiate_single_turn(values, tangents, program, rank):
     return jax.jvp(of_moving(function, values, moving), *along)
 
 
-def _partial_evaluation(trace, *tracers, program, rank):
+def _split_known(trace, *tracers, program, rank):
     """What is linearised about a known motion: the motion by itself, its tangents as a loop that
     goes through it again."""
     out = trace.default_process_primitive(loop_p, tracers, {"program": program, "rank": rank})
@@ -436,7 +436,7 @@ def _partial_evaluation(trace, *tracers, program, rank):
     return out
 
 
-def _backwards(cotangents, *values, program, rank):
+def _transpose_loop(cotangents, *values, program, rank):
     """What the results' cotangents make of the inputs': a loop with tangents is linear in these, so
     each column of its matrix is a run with one tangent. How many turns there are is known when they
     have ended, and runs forwards need not keep them."""
@@ -474,5 +474,5 @@ def _backwards(cotangents, *values, program, rank):
 
 
 ad.primitive_jvps[loop_p] = _differentiate
-ad.primitive_transposes[loop_p] = _backwards
-pe.custom_partial_eval_rules[loop_p] = _partial_evaluation
+ad.primitive_transposes[loop_p] = _transpose_loop
+pe.custom_partial_eval_rules[loop_p] = _split_known

@@ -19,7 +19,7 @@ def compiled(text: str) -> Any:
     """An engine that holds the machine code; the code lives as long as it does."""
     import llvmlite.binding as llvm
 
-    return _engine(llvm.ObjectFileRef.from_data(_object_code(text)))
+    return _load_object(llvm.ObjectFileRef.from_data(_compile_to_object(text)))
 
 
 def load_or_compile(text: str) -> tuple[Any, str]:
@@ -31,9 +31,9 @@ def load_or_compile(text: str) -> tuple[Any, str]:
         return engine, key
     import llvmlite.binding as llvm
 
-    code = _object_code(text)
+    code = _compile_to_object(text)
     cache_folder.write(cache_folder.KERNEL, key, code)
-    return _engine(llvm.ObjectFileRef.from_data(code)), key
+    return _load_object(llvm.ObjectFileRef.from_data(code)), key
 
 
 def from_disk(key: str) -> Any:
@@ -41,23 +41,23 @@ def from_disk(key: str) -> Any:
     import llvmlite.binding as llvm
 
     code = cache_folder.read(cache_folder.KERNEL, key)
-    return None if code is None else _engine(llvm.ObjectFileRef.from_data(code))
+    return None if code is None else _load_object(llvm.ObjectFileRef.from_data(code))
 
 
-def _object_code(text: str) -> bytes:
+def _compile_to_object(text: str) -> bytes:
     import llvmlite.binding as llvm
 
-    module, machine = llvm.parse_assembly(text), _target()
+    module, machine = llvm.parse_assembly(text), _target_machine()
     options = llvm.create_pipeline_tuning_options(speed_level=SPEED_LEVEL)
     passes = llvm.create_pass_builder(machine, options)
     passes.getModulePassManager().run(module, passes)
     return machine.emit_object(module)
 
 
-def _engine(code: Any) -> Any:
+def _load_object(code: Any) -> Any:
     import llvmlite.binding as llvm
 
-    machine = _target()
+    machine = _target_machine()
     stopping.place_flag()
     engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine)
     engine.add_object_file(code)
@@ -77,7 +77,7 @@ def processor() -> str:
     return f"{llvm.get_process_triple()} {name} {features} {numbers}"
 
 
-def _target() -> Any:
+def _target_machine() -> Any:
     """LLVM's description of this processor; an engine takes it over, so each needs its own."""
     import llvmlite.binding as llvm
 

@@ -214,7 +214,13 @@ def read(atoms: Sequence[Any], values: dict[Any, Any]) -> list:
 
 
 def applied(equation: Any, inputs: Sequence[Any], parameters: dict[str, Any]) -> Sequence[Any]:
-    """What the operation of an equation gives, with these parameters."""
+    """Results of an equation's operation, as a list.
+
+    Args:
+        equation: of a JAX program.
+        inputs: values of its operands.
+        parameters: in the place of those of the equation.
+    """
     results = equation.primitive.bind(*inputs, **parameters)
     return results if equation.primitive.multiple_results else [results]
 
@@ -224,8 +230,13 @@ def replayed(
     arguments: Sequence[Any],
     one: Callable[[Any, list], Sequence[Any]] = lambda e, inputs: applied(e, inputs, e.params),
 ) -> list:
-    """The program's results, the functions that it calls written out; `one`: what an equation gives
-    of its inputs."""
+    """Results of a program, evaluated equation by equation, with called functions inlined.
+
+    Args:
+        program: closed JAX program.
+        arguments: its inputs.
+        one: function from an equation and its inputs to its results; default: applies the equation.
+    """
     values = evaluate_constants(program, arguments)
     for equation in program.jaxpr.eqns:
         inputs = read(equation.invars, values)
@@ -252,7 +263,13 @@ def constants_first(program: ClosedJaxpr) -> ClosedJaxpr:
 
 
 def of_moving(function: Callable, values: Sequence[Any], moving: Sequence[int]) -> Callable:
-    """The function of those of its arguments that move, the others being these values."""
+    """The function with some of its arguments fixed.
+
+    Args:
+        function: of all arguments.
+        values: all arguments; the moving ones are replaced.
+        moving: positions of the arguments that remain.
+    """
 
     def of_some(*some):
         all_values = list(values)

@@ -33,16 +33,16 @@ SEPARATE = ("cholesky", "cond", "jaxclear_loop", "scan", "sort", "triangular_sol
 
 def in_pieces(program: ClosedJaxpr) -> Callable[..., list]:
     """The function of a program, in pieces; those of loops within it likewise."""
-    return jaxpr_as_fun(_cut(program))
+    return jaxpr_as_fun(_rewrite_with_barriers(program))
 
 
 @functools.lru_cache(maxsize=LATEST)
-def _cut(program: ClosedJaxpr) -> ClosedJaxpr:
+def _rewrite_with_barriers(program: ClosedJaxpr) -> ClosedJaxpr:
     written_out = traced(lambda *values: replayed(program, values), program.in_avals)
-    return traced(functools.partial(_with_barriers, written_out), program.in_avals)
+    return traced(functools.partial(_evaluate_with_barriers, written_out), program.in_avals)
 
 
-def _with_barriers(program: ClosedJaxpr, *arguments: Any) -> list:
+def _evaluate_with_barriers(program: ClosedJaxpr, *arguments: Any) -> list:
     jaxpr, values = program.jaxpr, evaluate_constants(program, arguments)
     last = {v: i for i, e in enumerate(jaxpr.eqns) for v in _variables(e.invars)}
     last |= dict.fromkeys(_variables(jaxpr.outvars), len(jaxpr.eqns))
@@ -53,20 +53,20 @@ def _with_barriers(program: ClosedJaxpr, *arguments: Any) -> list:
         if name in SOUGHT and any(
             sum(piece.get(v, {}).values()) > LITTLE for v in _variables(equation.invars)
         ):
-            piece = _handed_on(piece, [v for v in piece if last.get(v, -1) >= i], values)
+            piece = _piece_with_inputs(piece, [v for v in piece if last.get(v, -1) >= i], values)
         inputs, turn = read(equation.invars, values), TURNS.get(name)
         if turn is not None:
-            parameters = parameters | {turn: _cut(parameters[turn])}
+            parameters = parameters | {turn: _rewrite_with_barriers(parameters[turn])}
         results = applied(equation, inputs, parameters)
         values |= dict(zip(equation.outvars, results, strict=True))
-        work = _work(equation, i, piece)
+        work = _op_count(equation, i, piece)
         piece |= dict.fromkeys(equation.outvars, work)
         if sum(work.values()) >= WORK:
-            piece = _handed_on(piece, [v for v in piece if last.get(v, -1) > i], values)
+            piece = _piece_with_inputs(piece, [v for v in piece if last.get(v, -1) > i], values)
     return read(jaxpr.outvars, values)
 
 
-def _handed_on(piece: dict, needed: list, values: dict) -> dict:
+def _piece_with_inputs(piece: dict, needed: list, values: dict) -> dict:
     """The piece after one that ends here: what is `needed` of that is stored, in `values`."""
     if needed:
         barriered = jax.lax.optimization_barrier(read(needed, values))
@@ -74,7 +74,7 @@ def _handed_on(piece: dict, needed: list, values: dict) -> dict:
     return {}
 
 
-def _work(equation: Any, index: int, piece: dict[Any, dict[int, int]]) -> dict[int, int]:
+def _op_count(equation: Any, index: int, piece: dict[Any, dict[int, int]]) -> dict[int, int]:
     """Operations for one number of what an equation gives: those at the same place are done once,
     whoever reads them."""
     name, out = equation.primitive.name, equation.outvars[0].aval

@@ -23,7 +23,7 @@ _CONTENTS: dict[Any, tuple[Any, list[Any]]] = {}
 
 def remember() -> None:
     """What there is of this package by now counts as what its files say."""
-    for space in _spaces():
+    for space in _modules_and_classes():
         if space not in _CONTENTS:
             _CONTENTS[space] = vars(space), list(vars(space).values())
 
@@ -34,7 +34,7 @@ def is_unmodified() -> bool:
     return not any(_is_changed(space, *recorded) for space, recorded in _CONTENTS.items())
 
 
-def _spaces() -> Iterator[Any]:
+def _modules_and_classes() -> Iterator[Any]:
     """Modules of this package and their classes."""
     for name, module in list(sys.modules.items()):
         if name.partition(".")[0] == PACKAGE and module is not None:

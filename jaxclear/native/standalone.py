@@ -33,8 +33,17 @@ class Standalone(NamedTuple):
 def standalone(
     name: str, function: Callable, constants: Sequence[Any], numbers: Sequence[Any]
 ) -> Standalone:
-    """`function(constants, numbers)`, lists of arrays, which gives a list of arrays. Of the
-    constants long ones are tables. Raises `Unsupported` where a part of it has no rule."""
+    """A function of few numbers as LLVM code that needs neither JAX nor this process.
+
+    Args:
+        name: of the function in the object file.
+        function: of two lists of arrays, constants and numbers; gives a list of arrays.
+        constants: arrays of which long ones become tables.
+        numbers: arrays that vary from call to call; they go into registers.
+
+    Raises:
+        Unsupported: a primitive has no rule.
+    """
     constants, numbers = ([jnp.asarray(x) for x in arguments] for arguments in (constants, numbers))
     # What may change is in registers, a few numbers at a time.
     pieces = [
@@ -83,7 +92,13 @@ def standalone(
 
 
 def object_file(functions: Sequence[Standalone], triple: str, cpu: str) -> bytes:
-    """Machine code of all of them for a target and a processor, by LLVM's names."""
+    """Machine code of functions, as the bytes of an object file.
+
+    Args:
+        functions: LLVM code of each (`standalone`).
+        triple: LLVM's name of the target, such as "x86_64-unknown-linux-gnu".
+        cpu: LLVM's name of the processor.
+    """
     import llvmlite.binding as llvm
 
     llvm.initialize_all_targets()

@@ -36,28 +36,33 @@ LANES = 8
 def moving_state(
     program: Program, constants: Sequence[bool], state: Sequence[bool]
 ) -> tuple[bool, ...]:
-    """Which parts of the state ever move, where these of the body's constants and of the first
-    state do; behind them the same of the tables that its turns leave."""
-    now, out = _settled(program.body, constants, state)
+    """Which parts of the state ever have a tangent, followed by the same for the tables.
+
+    Args:
+        program: the loop, its condition and body as JAX programs.
+        constants: which constants of the body have a tangent.
+        state: which parts of the first state have one.
+    """
+    now, out = _moving_fixed_point(program.body, constants, state)
     initial_moves = (t.start is not None and constants[t.start] for t in program.tables)
     rows = zip(out[len(now) :], initial_moves, strict=True)
     return (*now, *(row or first for row, first in rows))
 
 
-def _settled(
+def _moving_fixed_point(
     body: ClosedJaxpr, fixed: Sequence[bool], first: Sequence[bool], rows: Sequence[bool] = ()
 ) -> tuple[tuple[bool, ...], list[bool]]:
     """(which parts of what a body hands on to itself ever move, which of its results do)."""
     now = tuple(first)
     while True:
-        out = _moved(body, [*fixed, *now, *rows])
+        out = _moving_results(body, [*fixed, *now, *rows])
         after = tuple(a or b for a, b in zip(now, out, strict=False))
         if after == now:
             return now, out
         now = after
 
 
-def _moved(program: ClosedJaxpr, inputs: Sequence[bool]) -> list[bool]:
+def _moving_results(program: ClosedJaxpr, inputs: Sequence[bool]) -> list[bool]:
     """Which results depend on the inputs that move."""
     jaxpr = getattr(program, "jaxpr", program)
     moving = {v for v, moves in zip(jaxpr.invars, inputs, strict=True) if moves}
@@ -68,33 +73,33 @@ def _moved(program: ClosedJaxpr, inputs: Sequence[bool]) -> list[bool]:
     for equation in jaxpr.eqns:
         moving_in = [moves(atom) for atom in equation.invars]
         if any(moving_in):
-            flags = zip(equation.outvars, _moved_by(equation, moving_in), strict=True)
+            flags = zip(equation.outvars, _is_result_moved(equation, moving_in), strict=True)
             moving |= {v for v, m in flags if m and np.issubdtype(v.aval.dtype, np.floating)}
     return [moves(atom) for atom in jaxpr.outvars]
 
 
-def _moved_by(equation: Any, inputs: list[bool]) -> list[bool]:
+def _is_result_moved(equation: Any, inputs: list[bool]) -> list[bool]:
     """Which results of an operation depend on its inputs that move."""
     name, p = equation.primitive.name, equation.params
     if name == "stop_gradient":
         return [False]
     if name in CALLS:
-        return _moved(called(p), inputs)
+        return _moving_results(called(p), inputs)
     if name == "jaxclear_loop":
         inner = p["program"]
         c, b = inner.condition_constants, inner.condition_constants + inner.body_constants
         return list(moving_state(inner, inputs[c:b], inputs[b:]))
     if name == "cond":
-        branches = [_moved(branch, inputs[1:]) for branch in p["branches"]]
+        branches = [_moving_results(branch, inputs[1:]) for branch in p["branches"]]
         return [any(each) for each in zip(*branches, strict=True)]
     if name == "while":
         c, b = p["cond_nconsts"], p["cond_nconsts"] + p["body_nconsts"]
-        return list(_settled(p["body_jaxpr"], inputs[c:b], inputs[b:])[0])
+        return list(_moving_fixed_point(p["body_jaxpr"], inputs[c:b], inputs[b:])[0])
     if name == "scan":
         fixed, carried = scan_counts(p)
         carried += fixed
         parts = inputs[:fixed], inputs[fixed:carried], inputs[carried:]
-        now, out = _settled(p["jaxpr"], *parts)
+        now, out = _moving_fixed_point(p["jaxpr"], *parts)
         return [*now, *out[len(now) :]]
     return [True] * len(equation.outvars)
 
@@ -102,9 +107,15 @@ def _moved_by(equation: Any, inputs: list[bool]) -> list[bool]:
 def tangent_program(
     program: Program, constants: Sequence[bool], results: Sequence[bool]
 ) -> Program:
-    """The loop with tangents: behind the body's constants stand the tangents of those that move,
-    behind the state those of its parts that move, and so behind a row; `results`: which parts of
-    state and row do."""
+    """The loop that carries tangents with the state.
+
+    Tangents follow the body's constants, the state and a row, for those parts that have one.
+
+    Args:
+        program: the loop, its condition and body as JAX programs.
+        constants: which constants of the body have a tangent.
+        results: which parts of state and row have one (`moving_state`).
+    """
     c, b = program.condition_constants, program.body_constants
     fixed, first = avals_of(program)
     fixed, n = fixed[c:], len(first)
@@ -162,9 +173,18 @@ def motion_in(program: Program) -> list[int]:
 def bundled(
     program: Program, values: Sequence[Any], dims: Sequence[int | None], rank: int
 ) -> tuple[Program, list[Any], list[int | None]] | None:
-    """Several tangents at once, where they are all that differs (None: other numbers do too): the
-    loop that takes them side by side, its values, and the axis of the tangents in each of its
-    results (None: it is the same for all)."""
+    """The loop that carries several tangents side by side, where these are all that differs.
+
+    Args:
+        program: the loop, its condition and body as JAX programs.
+        values: its inputs, one axis of which counts tangents.
+        dims: this axis in each of the inputs; None: it has none.
+        rank: number of batch axes that precede it.
+
+    Returns:
+        The loop, its inputs, and the axis of tangents in each result (None: the same for all); None
+        where other numbers than tangents differ.
+    """
     c, b = program.condition_constants, program.body_constants
     batched = [d is not None for d in dims]
     differing = {i for i, d in enumerate(batched[c:]) if d}
@@ -204,8 +224,15 @@ def side_by_side(wide: Program, samples: int) -> int:
 
 
 def by_portions(values: Sequence[Any], wide: Program, rank: int, size: int, run: Any) -> list[Any]:
-    """What the loop of all tangents gives, by one that takes `size` of them at once: `run(values,
-    program, rank)`."""
+    """Results of a loop with many tangents, computed by one that takes fewer at once.
+
+    Args:
+        values: inputs of the wide loop.
+        wide: loop of all tangents (`bundled`).
+        rank: number of batch axes that precede that of the tangents.
+        size: tangents at once.
+        run: function `run(values, program, rank)` that evaluates a loop.
+    """
     narrow = wide.narrow
     assert narrow is not None
     portions = -(-narrow.tangents // size)

@@ -87,14 +87,14 @@ def tell(context: Any, reason: str | None) -> None:
     context.module_context.cached_primitive_lowerings.setdefault(PLACE, []).append(reason)
 
 
-def _number(sentence: str) -> int:
+def _hash_sentence(sentence: str) -> int:
     """A whole number of 31 bits."""
     number = zlib.crc32(sentence.encode()) >> 1
     SENTENCES[number] = sentence
     return number
 
 
-def _sentence(words: list[str | None]) -> str:
+def _join_reasons(words: list[str | None]) -> str:
     reasons = sorted({word for word in words if word is not None})
     if not reasons:
         return KERNELS if words else NO_LOOPS
@@ -104,7 +104,7 @@ def _sentence(words: list[str | None]) -> str:
 
 def _lower(context, _):
     words = context.module_context.cached_primitive_lowerings.get(PLACE, [])
-    return [mlir.ir_constant(np.int32(_number(_sentence(words))))]
+    return [mlir.ir_constant(np.int32(_hash_sentence(_join_reasons(words))))]
 
 
 def _lower_lapack(context, *_):

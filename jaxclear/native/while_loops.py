@@ -22,12 +22,19 @@ def while_loop(
     single_turn: bool = False,
     vmapped: bool = False,
 ) -> Any:
-    """As `jax.lax.while_loop`, for a state of few numbers; forward-mode differentiable, maps over
-    batches. `long`: a prefix of the state, true where arrays may be long; such arrays stand in
-    memory, are read and changed by index, and as they were before that can be read no more.
-    `single_turn`: a loop of one turn; `vmapped`: as of `single_turn`.
+    """As `jax.lax.while_loop`, for a state of few numbers; forward-mode differentiable and batched.
+
+    Args:
+        condition, body: functions of the state; the body keeps its shapes and types.
+        first: initial state, a pytree of arrays.
+            long: prefix of the state, true where arrays may be long; these stand in memory and are
+            read and
+            changed by index; after a change the previous array can no longer be read.
+        single_turn: whether it is a function, a loop of one turn.
+            vmapped: whether XLA gets it as if this module had not been used, where it becomes no
+            kernel.
     """
-    in_memory = _long_parts(long, first)
+    in_memory = _leaves_in_memory(long, first)
     first = jax.tree.map(jnp.asarray, first)
     leaves, structure = jax.tree.flatten(first)
     tests, fixed_tests = opened(jax.make_jaxpr(condition)(first))
@@ -42,7 +49,7 @@ def while_loop(
     return jax.tree.unflatten(structure, out)
 
 
-def _long_parts(long: Any, first: Any) -> frozenset[int]:
+def _leaves_in_memory(long: Any, first: Any) -> frozenset[int]:
     """Which leaves of a state stand in memory."""
     wide = jax.tree.map(lambda flag, part: [flag] * len(jax.tree.leaves(part)), long, first)
     pairs = zip(jax.tree.leaves(wide), jax.tree.leaves(first), strict=True)
@@ -80,18 +87,24 @@ def scan(
     layouts: Sequence[TableLayout] = (),
     long: Any = False,
 ) -> tuple[Any, Any]:
-    """As `jax.lax.scan(turn, first, rows)`, for a state and rows of few numbers: all turns, and
-    loops within them, are one kernel that reads and leaves its rows itself. Forward-mode
-    differentiable, maps over batches. `layouts`: how each part of the tuple that a turn leaves is
-    kept (nothing: as of each turn in turn). `long`: as of `while_loop`.
+    """As `jax.lax.scan(turn, first, rows)`, for a state and rows of few numbers, as one kernel.
+
+    Loops within the turns are part of the kernel. Forward-mode differentiable, maps over batches.
+
+    Args:
+        turn: function of the state and a row; gives the new state and its outputs.
+        first: initial state, a pytree of arrays.
+        rows: pytree of arrays with a row for each turn along the first axis.
+        layouts: at which rows each part of the outputs is stored; empty: turn after turn.
+        long: as of `while_loop`.
     """
     length = len(jax.tree.leaves(rows)[0])
-    tables = jax.tree.map(_in_memory, rows)
-    places = [_in_memory(each.places) for each in layouts] or [_in_memory(np.arange(length))]
+    tables = jax.tree.map(_memory_table, rows)
+    places = [_memory_table(each.places) for each in layouts] or [_memory_table(np.arange(length))]
     starts = [jax.tree.map(jnp.asarray, jax.tree.leaves(each.start)) for each in layouts]
     for each in layouts:
         _check_layout(each, length)
-    parts_in_memory = _long_parts((False, long), (0, first))
+    parts_in_memory = _leaves_in_memory((False, long), (0, first))
     first = jax.tree.map(jnp.asarray, (0, first))
     form: list[Any] = []
 
@@ -112,7 +125,7 @@ def scan(
     shape, parts = form[0]
     fixed_arrays = jax.tree.leaves((places, starts))
     heights = [each.height for each in layouts] or [length]
-    tables_out = _tables(parts, heights, [len(each) for each in starts] or [0], len(fixed))
+    tables_out = _make_tables(parts, heights, [len(each) for each in starts] or [0], len(fixed))
     fixed = [*fixed, *fixed_arrays]
     body_of_all = loops_marked(turns, within=True)
     program = Program(tests, body_of_all, 0, len(fixed), length=length, tables=tables_out)
@@ -137,7 +150,7 @@ def _check_layout(layout: TableLayout, length: int) -> None:
         raise ValueError("a table of a scan has rows that no turn leaves.")
 
 
-def _in_memory(table: Any) -> Any:
+def _memory_table(table: Any) -> Any:
     """A table as floats that a kernel reads from memory, however short: an entry of registers is
     chosen among all of them."""
     beyond = max(0, LONGEST_IN_REGISTERS + 1 - len(table))
@@ -146,7 +159,7 @@ def _in_memory(table: Any) -> Any:
     return jnp.asarray(by.concatenate([by.asarray(table, float), filled]))
 
 
-def _tables(
+def _make_tables(
     parts: Sequence[int], heights: Sequence[int], starts: Sequence[int], ahead: int
 ) -> tuple[Table, ...]:
     """The table of each array that turns leave, where so many arrays are in each of the parts, as

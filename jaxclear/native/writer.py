@@ -128,12 +128,12 @@ class Writer:
         """A register holding the right-hand side: that of before, where the same was written within
         the current region, of what no memory that changes has a part in."""
         if right.startswith("load") and "!invariant" not in right:
-            return self._new(right)
+            return self._new_register(right)
         if right not in self._registers:
-            self._registers[right] = self._new(right)
+            self._registers[right] = self._new_register(right)
         return self._registers[right]
 
-    def _new(self, right: str) -> str:
+    def _new_register(self, right: str) -> str:
         name = self.fresh()
         self.lines.append(f"  {name} = {right}")
         return name
@@ -178,7 +178,13 @@ class Writer:
         return self.put(f"call {result} @jc.{name}({operands})")
 
     def lane(self, value: Any, kind: str, lane: int) -> str:
-        """One sample's number out of a register."""
+        """One sample's number out of a register.
+
+        Args:
+            value: register name or Python number.
+            kind: of its numbers: `FLOAT`, `INT` or `TRUTH`.
+            lane: which of the samples that the kernel takes at once.
+        """
         if self.lanes == 1 or not isinstance(value, str):
             if isinstance(value, str):
                 return value
@@ -227,19 +233,25 @@ class Writer:
         stays = ", !invariant.load !0" if array.version is None else ""
         parts = [
             self.put(f"load double, ptr {place}{stays}")
-            for place in self._entries(array, flat_index)
+            for place in self._addresses_of_entries(array, flat_index)
         ]
         return self.gather_lanes(parts, FLOAT)
 
     def part(self, array: InMemory, flat_index: Any, shape: tuple[int, ...]) -> InMemory:
-        """The numbers of an array that never changes from a row-major index on, in this shape."""
-        return InMemory(self._entries(array, flat_index), shape)
+        """Consecutive numbers of an array in memory that never changes.
+
+        Args:
+            array: in memory.
+            flat_index: row-major index of the first of them, known or in a register.
+            shape: of the result.
+        """
+        return InMemory(self._addresses_of_entries(array, flat_index), shape)
 
     def change(self, array: InMemory, entries: list[tuple[Any, Any]]) -> InMemory:
         """The array once entries at row-major indices have been given these numbers; as it was it
         can be read no more. Samples that have ended keep theirs."""
         for flat_index, value in entries:
-            places = self._entries(array, flat_index)
+            places = self._addresses_of_entries(array, flat_index)
             if self.active is not None:
                 old = self.read(array, flat_index)
                 value = self.choose(self.active, value, old, FLOAT)
@@ -262,7 +274,7 @@ class Writer:
         if array.version != self._versions.get(array.places[0], array.version):
             raise Unsupported("a long array as it was before it changed")
 
-    def _entries(self, array: InMemory, flat_index: Any) -> list[str]:
+    def _addresses_of_entries(self, array: InMemory, flat_index: Any) -> list[str]:
         """Registers with the place of each sample's entry."""
         return [
             self.put(f"getelementptr double, ptr {start}, i64 {self.lane(flat_index, INT, lane)}")
@@ -270,7 +282,13 @@ class Writer:
         ]
 
     def copy(self, source: InMemory, targets: list[str], count: int) -> None:
-        """Each sample's numbers of an array in memory to its place among these."""
+        """Writes a copy of each sample's array in memory.
+
+        Args:
+            source: array in memory, in its latest version.
+            targets: registers with the place for each sample.
+            count: numbers of a sample.
+        """
         self.check_latest(source)
         name = "@llvm.memcpy.p0.p0.i64"
         self.needs.add(f"declare void {name}(ptr, ptr, i64, i1)")
@@ -287,7 +305,13 @@ class Writer:
         return self.put(f"call i1 {name}({self.wide(TRUTH)} {word})")
 
     def choose(self, truth: Any, yes: Any, no: Any, kind: str) -> Any:
-        """yes where truth holds, else no."""
+        """`yes` where `truth` holds, else `no`.
+
+        Args:
+            truth: register name, or Python bool, which writes no code.
+            yes, no: register names or Python numbers.
+            kind: of both: `FLOAT`, `INT` or `TRUTH`.
+        """
         if not isinstance(truth, str):
             return yes if truth else no
         if isinstance(yes, str) and yes == no:
@@ -341,8 +365,15 @@ def number_of(value: Any) -> Any:
 
 
 def write(writer: Writer, jaxpr: Jaxpr, constants: Any, arguments: Any) -> list:
-    """The outputs of a program for given constants and arguments, all as object arrays (or
-    `InMemory`).
+    """Writes a JAX program and returns its outputs, object arrays of registers or `InMemory`.
+
+    Args:
+        writer: LLVM text under construction.
+        jaxpr: the program.
+        constants, arguments: arrays of registers or numbers for its constants and inputs.
+
+    Raises:
+        Unsupported: a primitive has no rule, or none for long arrays.
     """
     values: dict[Any, Any] = dict(zip(jaxpr.constvars, constants, strict=True))
     values |= dict(zip(jaxpr.invars, arguments, strict=True))
@@ -399,7 +430,13 @@ def in_registers(array: Any) -> Any:
 
 
 def write_closed(writer: Writer, program: Any, arguments: Any) -> list:
-    """The outputs of a program whose constants are known."""
+    """Writes a program whose constants are known; returns its outputs.
+
+    Args:
+        writer: LLVM text under construction.
+        program: closed JAX program, or one without constants.
+        arguments: arrays of registers or numbers for its inputs.
+    """
     if isinstance(program, ClosedJaxpr):
         return write(writer, program.jaxpr, [constant_array(c) for c in program.consts], arguments)
     return write(writer, program, [], arguments)

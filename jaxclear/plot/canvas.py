@@ -49,7 +49,13 @@ LEAST, LARGEST = 1e-3, 1e5
 
 
 def canvas(rows: int = 1, columns: int = 1, size: tuple[float, float] = (7.0, 4.5), **kwargs: Any):
-    """An empty figure of `size` [inch] and its axes."""
+    """An empty figure and its axes.
+
+    Args:
+        rows, columns: numbers of axes.
+        size: width and height [inch].
+        kwargs: of matplotlib's `subplots`.
+    """
     figure = Figure(figsize=size, layout="constrained")
     return figure, figure.subplots(rows, columns, **kwargs)
 
@@ -96,7 +102,7 @@ class Panels(NamedTuple):
         for axis in self.axes.flat:
             places(axis)
         if sentences:
-            text = "\n".join(_lines(sentences, IN_PANEL))
+            text = "\n".join(_fill_lines(sentences, IN_PANEL))
             last = self.axes.flat[-1]
             place = {"transform": last.transAxes, "va": "bottom", "fontsize": 0.8 * LETTERS}
             # A panel in space has a depth besides.
@@ -114,8 +120,19 @@ def panels(
     space: bool = False,
     **kwargs: Any,
 ) -> Panels:
-    """New panels of a figure of `size` [inch], or the `ax` that the user gave; `space`: in three
-    dimensions. Raises `ValueError` unless these are as many as the figure `what` has."""
+    """Panels of a new figure, or the axes that the user gave.
+
+    Args:
+        what: name of the figure in messages.
+        ax: axes of the user, one or several; None: a new figure.
+        rows, columns: numbers of axes.
+        size: width and height of a new figure [inch].
+        space: whether axes are three-dimensional.
+        kwargs: of matplotlib's `subplots`.
+
+    Raises:
+        ValueError: the axes are not as many as the figure has, or of the wrong projection.
+    """
     if ax is None:
         if space:
             kwargs["subplot_kw"] = {"projection": "3d", "computed_zorder": False}
@@ -139,7 +156,13 @@ def panels(
 
 
 def over_time(axis: Any, x: np.ndarray, y: np.ndarray, time: np.ndarray) -> LineCollection:
-    """A curve coloured by time [s]; the axis is widened to hold it."""
+    """A curve coloured by time; the axis is scaled to hold it.
+
+    Args:
+        axis: of matplotlib.
+        x, y: coordinates, shape (n,).
+        time: [s], shape (n,).
+    """
     points = np.stack([x, y], -1)
     lines = LineCollection(list(np.stack([points[:-1], points[1:]], 1)), cmap="viridis", lw=1.0)
     lines.set_array(time[:-1])
@@ -171,7 +194,7 @@ def captioned(figure: Figure, sentences: Sequence[str] = ()) -> Figure:
     fitted(figure)
     if not sentences:
         return figure
-    lines = _lines(sentences, int(PER_INCH * figure.get_figwidth()))
+    lines = _fill_lines(sentences, int(PER_INCH * figure.get_figwidth()))
     below = (len(lines) + 1) * LINE
     lines_of_all = figure.get_figheight() + below
     figure.set_figheight(lines_of_all)
@@ -197,7 +220,7 @@ def as_warnings(sentences: Iterable[str], name: str = "") -> list[str]:
     return [f"{WARNING}{f' ({name})' if name else ''}: {sentence}" for sentence in sentences]
 
 
-def _lines(sentences: Sequence[str], width: int) -> list[str]:
+def _fill_lines(sentences: Sequence[str], width: int) -> list[str]:
     """The first of the sentences, as far as there is room in lines of so many letters, and how many
     more there are."""
     lines: list[str] = []
@@ -281,7 +304,7 @@ class Roomy(Locator):
         for most in range(MOST_TICKS, 0, -1):
             round_ones = MaxNLocator(most, steps=[1, 2, 2.5, 5, 10], integer=self.integers)
             ticks = np.asarray(round_ones.tick_values(vmin, vmax))
-            if _fits(self.axis, ticks[(ticks >= vmin) & (ticks <= vmax)]):
+            if _labels_fit(self.axis, ticks[(ticks >= vmin) & (ticks <= vmax)]):
                 break
         return ticks
 
@@ -307,7 +330,7 @@ class Decades(Locator):
         return powers[steps % every == 0]
 
 
-def _decimal(value: float, _: int = 0) -> str:
+def _format_decimal(value: float, _: int = 0) -> str:
     """A place of a logarithmic axis."""
     if not value > 0 or 1e-3 <= value < 1e4:
         return f"{value:g}"
@@ -316,7 +339,7 @@ def _decimal(value: float, _: int = 0) -> str:
     return rf"$10^{{{power}}}$" if factor == "1" else rf"${factor} \cdot 10^{{{power}}}$"
 
 
-def _fits(axis: Any, widths: np.ndarray) -> bool:
+def _labels_fit(axis: Any, widths: np.ndarray) -> bool:
     """Whether the labels of places stand apart."""
     usual: Any = matplotlib.rcParams
     w = axis.get_tick_params().get("labelsize", usual[f"{axis.axis_name}tick.labelsize"])
@@ -346,13 +369,18 @@ def places(axis: Any) -> None:
             one.set_major_locator(Roomy())
         elif type(one.get_major_locator()) is LogLocator:
             one.set_major_locator(Decades())
-            one.set_major_formatter(FuncFormatter(_decimal))
+            one.set_major_formatter(FuncFormatter(_format_decimal))
             one.set_minor_formatter(NullFormatter())
 
 
 def columns_of(labels: Sequence[str], space: float, size: float) -> int:
-    """In how many columns labels, of letters of `size` [pt], stand in a legend for which there is
-    `room` [pt]."""
+    """Number of columns of a legend.
+
+    Args:
+        labels: of the legend.
+        space: width of the legend [pt].
+        size: of letters [pt].
+    """
     longest = max((len(line) for label in labels for line in label.split("\n")), default=0)
     return max(1, min(len(labels), int(space / (LETTER * size * (longest + HANDLE))), MOST_COLUMNS))
 
@@ -382,18 +410,18 @@ def fitted(figure: Figure) -> None:
     for axis in flat:
         places(axis)
         _fold_rows(axis)
-    _widen(figure, flat)
+    _widen_for_names(figure, flat)
     layout.execute(figure)
     before = {axis: axis.get_window_extent().height for axis in flat}
-    folded = [_fold(title, figure.bbox.width)] if title else []
-    folded += [_fold(axis.title, _space(axis, figure, bars)) for axis in axes]
+    folded = [_fold_text(title, figure.bbox.width)] if title else []
+    folded += [_fold_text(axis.title, _title_width(axis, figure, bars)) for axis in axes]
     for axis in (*flat, *bars):
         box = axis.get_window_extent()
-        _without_offset(axis.xaxis)
-        _without_offset(axis.yaxis)
-        folded.append(_fold(axis.xaxis.label, box.width))
-        folded.append(_fold(axis.yaxis.label, box.height, upright=True))
-    needed = {axis: max(before[axis], _rows_need(axis)) for axis in flat}
+        _move_offset_to_label(axis.xaxis)
+        _move_offset_to_label(axis.yaxis)
+        folded.append(_fold_text(axis.xaxis.label, box.width))
+        folded.append(_fold_text(axis.yaxis.label, box.height, upright=True))
+    needed = {axis: max(before[axis], _height_of_rows(axis)) for axis in flat}
     if any(folded) or needed != before:
         layout.execute(figure)
         overflow: dict[int, float] = defaultdict(float)
@@ -404,7 +432,7 @@ def fitted(figure: Figure) -> None:
         figure.set_figheight(figure.get_figheight() + sum(overflow.values()) / figure.dpi)
 
 
-def _widen(figure: Figure, axes: list) -> None:
+def _widen_for_names(figure: Figure, axes: list) -> None:
     """Adds the room that names of rows take beyond `NAMES` to the width of the figure."""
     beyond: dict[int, float] = defaultdict(float)
     for axis in axes:
@@ -416,7 +444,7 @@ def _widen(figure: Figure, axes: list) -> None:
     figure.set_figwidth(figure.get_figwidth() + sum(beyond.values()))
 
 
-def _space(axis: Any, figure: Figure, bars: list) -> float:
+def _title_width(axis: Any, figure: Figure, bars: list) -> float:
     """Width [pixel] for the title of axes: as far as there is nothing else on both sides where they
     stand alone."""
     box, place = axis.get_window_extent(), axis.get_subplotspec()
@@ -427,7 +455,7 @@ def _space(axis: Any, figure: Figure, bars: list) -> float:
     return 2 * min(middle, min(ends) - middle)
 
 
-def _without_offset(axis: Any) -> None:
+def _move_offset_to_label(axis: Any) -> None:
     """Says in the label what is taken off the numbers of an axis, and their power of ten."""
     label, offset = axis.get_label_text(), axis.get_offset_text()
     text = OFFSET.fullmatch(axis.get_major_formatter().get_offset().replace("\N{MINUS SIGN}", "-"))
@@ -441,7 +469,7 @@ def _without_offset(axis: Any) -> None:
     offset.set_visible(False)
 
 
-def _fold(text: Any, space: float, upright: bool = False) -> bool:
+def _fold_text(text: Any, space: float, upright: bool = False) -> bool:
     """Folds a text into lines for which there is room [pixel]; whether that was needed."""
     line, box = text.get_text(), text.get_window_extent()
     long = box.height if upright else box.width
@@ -468,7 +496,7 @@ def _fold_rows(axis: Any) -> None:
         axis.set_yticks(axis.get_yticks(), names, fontsize=labels[0].get_fontsize())
 
 
-def _rows_need(axis: Any) -> float:
+def _height_of_rows(axis: Any) -> float:
     """Height [pixel] that the names of rows need; none where they are numbers."""
     if not _has_rows(axis):
         return 0.0

@@ -46,7 +46,7 @@ def identification(result: Identified, *, ax: Any = None) -> Any:
         ValueError: if `result` is something else.
     """
     expect(result, Identified, "the identification", "what jaxclear.identify returns")
-    drawn = _panels(result)
+    drawn = _panel_functions(result)
     columns = len(drawn) if ax is not None else min(len(drawn), MOST_COLUMNS)
     rows = -(-len(drawn) // columns)
     sheet = panels("identification", ax, rows, columns, (4.4 * columns, 3.2 * rows))
@@ -98,17 +98,17 @@ def remaining_life(result: RemainingLife, *, ax: Any = None) -> Any:
     return sheet.done(as_warnings(result.warnings))
 
 
-def _panels(result: Identified) -> list[Callable[[Any], None]]:
+def _panel_functions(result: Identified) -> list[Callable[[Any], None]]:
     """What each panel draws."""
     drawn: list[Callable[[Any], None]] = []
     evidence, unknowns = result.evidence, range(len(result.unknowns))
     if evidence is not None:
-        near = _nearest(evidence)
+        near = _nearest_runs(evidence)
         kinds = evidence.kinds.items()
         drawn += [partial(_statistics, what=w, runs=r, record=s, near=near) for w, (r, s) in kinds]
-    drawn += [partial(_marginal, result=result, k=k) for k in unknowns]
+    drawn += [partial(_draw_marginal, result=result, k=k) for k in unknowns]
     pairs = itertools.islice(itertools.combinations(unknowns, 2), MOST_PAIRS)
-    drawn += [partial(_pair, result=result, i=i, k=k) for i, k in pairs]
+    drawn += [partial(_draw_pair, result=result, i=i, k=k) for i, k in pairs]
     if evidence is not None:
         part = evidence.coverage().mean(0)
         drawn += [
@@ -118,7 +118,7 @@ def _panels(result: Identified) -> list[Callable[[Any], None]]:
     return drawn
 
 
-def _nearest(evidence: Evidence) -> np.ndarray:
+def _nearest_runs(evidence: Evidence) -> np.ndarray:
     """The runs whose unknowns are nearest to what the record leaves."""
     middle, spread = evidence.shares.mean(0), evidence.shares.std(0)
     distance = np.sum(((evidence.fitted.unknowns - middle) / spread) ** 2, axis=1)
@@ -141,7 +141,7 @@ def _statistics(axis: Any, what: str, runs: np.ndarray, record: np.ndarray, near
     key(axis)
 
 
-def _marginal(axis: Any, result: Identified, k: int) -> None:
+def _draw_marginal(axis: Any, result: Identified, k: int) -> None:
     u = result.unknowns[k]
     draws = result.posterior_values[:, k]
     prior = prior_quantiles(result.problem, u.name, (np.arange(400) + 0.5) / 400)
@@ -158,7 +158,7 @@ def _marginal(axis: Any, result: Identified, k: int) -> None:
     key(axis)
 
 
-def _pair(axis: Any, result: Identified, i: int, k: int) -> None:
+def _draw_pair(axis: Any, result: Identified, i: int, k: int) -> None:
     labels = []
     values = []
     for one in (i, k):

@@ -125,7 +125,7 @@ def wear_life(life: WearLife, *, ax: Any = None) -> Any:
     sheet = panels("wear_life", ax, rows, columns, size, sharex=True)
     axes = sheet.axes
     for axis, name in zip(axes.flat, quantities, strict=False):
-        _response(axis, life, name) if name in names else _worn(axis, life, name)
+        _draw_response(axis, life, name) if name in names else _draw_worn(axis, life, name)
     for axis in axes.flat[len(quantities) :]:
         axis.remove()
     for column in range(columns):
@@ -138,7 +138,7 @@ def wear_life(life: WearLife, *, ax: Any = None) -> Any:
     return sheet.done([*as_warnings(life.warnings), *notes])
 
 
-def _worn(axis: Any, life: WearLife, kind: str) -> None:
+def _draw_worn(axis: Any, life: WearLife, kind: str) -> None:
     """Depth or volume of each surface."""
     errors = life.errors if kind == DEPTH else life.errors_of_volume
     places = np.linspace(0.0, life.cycles[-1], POINTS)
@@ -160,7 +160,7 @@ def _worn(axis: Any, life: WearLife, kind: str) -> None:
         key(axis)
 
 
-def _response(axis: Any, life: WearLife, name: str) -> None:
+def _draw_response(axis: Any, life: WearLife, name: str) -> None:
     """A response, with what its mean may be off."""
     values = life.over_life(name)
     factor, unit = readable(values, life.problem.units()[name])
@@ -194,13 +194,13 @@ def design(result: Design, *, ax: Any = None) -> Any:
     names = result.question.freedom.names
     height = 2.2 + 0.34 * max(len(names), len(result.limits))
     sheet = panels("design", ax, 1, 3, (13.0, height), width_ratios=(1.2, 1.2, 0.9))
-    for draw, axis in zip((_widths, _limits, _history), sheet.axes.flat, strict=True):
+    for draw, axis in zip((_draw_width, _draw_limit, _draw_history), sheet.axes.flat, strict=True):
         draw(axis, result)
     sheet.title(result.sentence().partition(". ")[0] + ".")
     return sheet.done([] if result.holds else [result.sentence()])
 
 
-def _widths(axis: Any, result: Design) -> None:
+def _draw_width(axis: Any, result: Design) -> None:
     freedom = result.question.freedom
     units = dict(zip(freedom.names, result.problem.variable_units, strict=True))
     places = np.arange(len(freedom.names))
@@ -220,7 +220,7 @@ def _widths(axis: Any, result: Design) -> None:
     key(axis)
 
 
-def _limits(axis: Any, result: Design) -> None:
+def _draw_limit(axis: Any, result: Design) -> None:
     places = np.arange(len(result.limits))
     used = 100 * (1.0 + result.excess)
     last = result.rounds[-1].check
@@ -235,7 +235,7 @@ def _limits(axis: Any, result: Design) -> None:
     axis.set_xlabel("limit used up [%]")
 
 
-def _history(axis: Any, result: Design) -> None:
+def _draw_history(axis: Any, result: Design) -> None:
     history = result.history()
     axis.plot(history["runs"], history["cost"], "o-", color="C0", ms=4, lw=1.2)
     holds = history["largest excess"] <= result.allowed_excess

@@ -88,17 +88,17 @@ def signal(run: Trajectory, of: str, axis: str | None = None) -> TimeCurve:
         at = AXES.index(axis)
         values, rates = np.asarray(motion.com)[:, at], np.asarray(motion.velocity)[:, at]
         return TimeCurve(time, values, rates, "m", f"{axis} of {of}", f"velocity {axis} of {of}")
-    return _of_joint(run, of, _usual(run, of) if axis is None else axis)
+    return _curve_of_joint(run, of, _usual_axis(run, of) if axis is None else axis)
 
 
-def _usual(run: Trajectory, of: str) -> str:
+def _usual_axis(run: Trajectory, of: str) -> str:
     joint: Any = run.mechanism.connections[of].joint
     if of in run.mechanism.topology.clearances:
         return "x"
     return TURN if "z" in getattr(joint, "rows", ()) else "z"
 
 
-def _of_joint(run: Trajectory, of: str, axis: str) -> TimeCurve:
+def _curve_of_joint(run: Trajectory, of: str, axis: str) -> TimeCurve:
     touching = of in run.formulation.contact_joints(run.mechanism)
     axes = (*AXES, TURN, *([FORCE] if touching else []))
     check_name("axis", axis, axes, f' of joint "{of}"')
@@ -188,7 +188,7 @@ def at_periods(data: TimeCurve, period: float, since: float, until: float) -> tu
     return times, curve(times), curve.derivative()(times)
 
 
-def _checked(run: Trajectory, curve: TimeCurve, period: float, since: float, what: str) -> float:
+def _check(run: Trajectory, curve: TimeCurve, period: float, since: float, what: str) -> float:
     """The end of the run [s]. Raises `ValueError` where no two periods are left."""
     curve.rates_in_unit()
     check_number(f"period of {what}", period, "s", above=0)
@@ -233,7 +233,7 @@ def poincare_section(
             period follows `since`.
     """
     curve = signal(run, of, axis)
-    until = _checked(run, curve, period, since, "poincare_section")
+    until = _check(run, curve, period, since, "poincare_section")
     times, _, _ = sampled = at_periods(curve, period, since, until)
     section = curve._replace(values=sampled[1], rates=sampled[2])
     (values, across), (rates, up) = section.in_unit(), section.rates_in_unit()
@@ -285,7 +285,7 @@ def bifurcation(
         check_run(run)
         check_number("a number of bifurcation", number)
         curve = signal(run, of, axis)
-        until = _checked(run, curve, period, since, "bifurcation")
+        until = _check(run, curve, period, since, "bifurcation")
         sections[float(number)] = at_periods(curve, period, since, until)[1]
     every = curve._replace(values=np.concatenate(list(sections.values())))
     values, up = every.in_unit()

@@ -55,7 +55,7 @@ def monte_carlo(study: MonteCarlo | Campaign, *, ax: Any = None) -> Any:
     Raises:
         ValueError: if `study` is something else.
     """
-    study = _sampled(study)
+    study = _samples_in_memory(study)
     names = list(study.responses)
     sheet = panels("monte_carlo", ax, 1, len(names), (4.6 * len(names), 3.8))
     for axis, name in zip(sheet.axes.flat, names, strict=True):
@@ -253,7 +253,7 @@ def work_precision(advice: Advice, *, ax: Any = None) -> Any:
 WIDE = 4.4
 
 
-def _rows(axis: Any, names: Sequence[str]) -> None:
+def _label_rows(axis: Any, names: Sequence[str]) -> None:
     """A row for each name, the first on top."""
     axis.set_yticks(range(len(names)), names, fontsize=8)
     axis.set_ylim(len(names) - 0.5, -0.5)
@@ -290,14 +290,14 @@ def worst_case(study: WorstCase, *, ax: Any = None) -> Any:
         first = [factor * one.first_order for one in ends]
         axis.plot(first, [1, 1], "|-", color="0.5", ms=16, lw=2, label="first order")
         axis.axvline(factor * study.nominal[name], color="k", lw=0.8, label="nominal")
-        _rows(axis, ["found", "first order"])
+        _label_rows(axis, ["found", "first order"])
         axis.set_xlabel(f"{name} [{unit}]")
     sheet.legend()
     sheet.title(f"Worst case, {study.runs} runs")
     return sheet.done()
 
 
-def _sampled(study: MonteCarlo | Campaign) -> MonteCarlo:
+def _samples_in_memory(study: MonteCarlo | Campaign) -> MonteCarlo:
     """The finished samples of a study, in memory."""
     what = "what jaxclear.monte_carlo or jaxclear.campaign returns"
     expect(study, (MonteCarlo, Campaign), "the study", what)
@@ -322,7 +322,7 @@ def error_budget(study: MonteCarlo | Campaign, *responses: str, ax: Any = None) 
     Raises:
         ValueError: if `study` is something else or there is no such response.
     """
-    study = _sampled(study)
+    study = _samples_in_memory(study)
     names = responses or tuple(study.responses)
     for name in names:
         check_name("response", name, study.responses, " in this study")
@@ -336,7 +336,7 @@ def error_budget(study: MonteCarlo | Campaign, *responses: str, ax: Any = None) 
             share, low, high = (100 * x / total for x in part)
             axis.barh(row, share, 0.6, color="C0", alpha=0.5)
             _interval(axis, row, share, low, high, color="k")
-        _rows(axis, list(parts))
+        _label_rows(axis, list(parts))
         axis.axvline(0.0, color="k", lw=0.6)
         axis.set_xlabel(f"share of the variance of {name} [%]")
     sheet.title("Error budget")
@@ -366,7 +366,7 @@ def _by_variable(
                 named = kind if row == 0 else None
                 numbers = [factor * number for number in each[name, variable]]
                 _interval(axis, row + places[k], *numbers, color=f"C{k}", label=named)
-        _rows(axis, variables)
+        _label_rows(axis, variables)
         axis.axvline(0.0, color="0.7", lw=0.8)
         axis.set_xlabel(f"{label} {name} [{unit}]")
     if len(kinds) > 1:
@@ -466,7 +466,7 @@ def surface(result: ResponseSurface, *, ax: Any = None) -> Any:
     return sheet.done()
 
 
-def _means(what: str, means: dict, deviations: dict, problem: Any, ax: Any, title: str) -> Any:
+def _draw_means(what: str, means: dict, deviations: dict, problem: Any, ax: Any, title: str) -> Any:
     """Mean and mean ± standard deviation of responses, each with its 95 % error."""
     sheet = panels(what, ax, 1, len(means), (WIDE * len(means), 2.4))
     for axis, (name, value_of) in zip(sheet.axes.flat, means.items(), strict=True):
@@ -478,7 +478,7 @@ def _means(what: str, means: dict, deviations: dict, problem: Any, ax: Any, titl
         for side in (-1, 1):
             end = mean + side * spread
             _interval(axis, 1, end, end - off, end + off, color="C1")
-        _rows(axis, ["mean", "mean ± deviation"])
+        _label_rows(axis, ["mean", "mean ± deviation"])
         axis.set_xlabel(f"{name} [{unit}]")
     sheet.title(title)
     return sheet.done()
@@ -501,7 +501,7 @@ def corrected_statistics(study: CorrectedStatistics, *, ax: Any = None) -> Any:
     expect(study, CorrectedStatistics, "the study", "what jaxclear.corrected_statistics returns")
     title = f"Surface corrected by {study.runs} runs"
     problem = study.surface.problem
-    return _means("corrected_statistics", study.means, study.deviations, problem, ax, title)
+    return _draw_means("corrected_statistics", study.means, study.deviations, problem, ax, title)
 
 
 @answering
@@ -521,7 +521,7 @@ def multi_fidelity(study: MultiFidelity, *, ax: Any = None) -> Any:
     expect(study, MultiFidelity, "the study", "what jaxclear.multi_fidelity returns")
     spread = study.standard_deviations
     title = f"{study.runs[0]} runs of the problem and {sum(study.runs[1:])} of cheaper ones"
-    return _means("multi_fidelity", study.means, spread, study.problem, ax, title)
+    return _draw_means("multi_fidelity", study.means, spread, study.problem, ax, title)
 
 
 @answering
@@ -549,12 +549,12 @@ def reliability(study: Reliability, *, ax: Any = None) -> Any:
     for row, (name, e) in enumerate(finite.items()):
         colour = "k" if name == study.method else "C0"
         _interval(methods_axis, row, e.value, *e.interval, color=colour)
-    _rows(methods_axis, list(finite))
+    _label_rows(methods_axis, list(finite))
     if any(e.value > 0 for e in finite.values()):
         methods_axis.set_xscale("log")
     methods_axis.set_xlabel("probability of failing [1]")
     right.barh(range(len(shares)), [100 * x for x in shares.values()], 0.6, color="C0")
-    _rows(right, list(shares))
+    _label_rows(right, list(shares))
     right.set_xlabel("importance at the likeliest design point [%]")
     sheet.title(f"P({study.limit.words()}), {study.runs} runs")
     return sheet.done(study.notes)

@@ -32,7 +32,7 @@ class Wall(NamedTuple):
     height: float
 
 
-def _cylinder(wear_map: Any) -> Wall:
+def _cylinder_wall(wear_map: Any) -> Wall:
     around, along = wear_map.cells
     edges = MILLI * np.linspace(-0.5, 0.5, along + 1) * float(wear_map.length)
     angles = np.linspace(0, 2 * np.pi, around + 1)[:, None]
@@ -44,7 +44,7 @@ def _cylinder(wear_map: Any) -> Wall:
     return Wall(edges, "position along the axis [mm]", across, places, lambda _: 22.0, 1.2)
 
 
-def _sphere(wear_map: Any) -> Wall:
+def _sphere_wall(wear_map: Any) -> Wall:
     around, along = wear_map.cells
     edges = np.linspace(-90, 90, along + 1)
     azimuth, elevation = np.linspace(0, 2 * np.pi, around + 1)[:, None], np.radians(edges)
@@ -61,10 +61,10 @@ def _sphere(wear_map: Any) -> Wall:
 # What either side of a guide or slider is called.
 FLAT = {"guide": "wall", "slider": "face"}
 # The shape of a wall, by the surface's name.
-SHAPES = {"socket": _sphere, "ball": _sphere}
+SHAPES = {"socket": _sphere_wall, "ball": _sphere_wall}
 
 
-def _wear(run: Trajectory, joint: str, surface: str) -> tuple[Any, np.ndarray]:
+def _wear_of_surface(run: Trajectory, joint: str, surface: str) -> tuple[Any, np.ndarray]:
     check_run(run)
     depth = np.asarray(run.worn_depth(joint, surface))
     wear_map = wearing_in(run.mechanism)[joint].maps()[surface][0]
@@ -76,8 +76,8 @@ def _wear(run: Trajectory, joint: str, surface: str) -> tuple[Any, np.ndarray]:
     return wear_map, depth
 
 
-def _wall(wear_map: Any, surface: str) -> Wall:
-    return SHAPES.get(surface, _cylinder)(wear_map)
+def _wall_of_surface(wear_map: Any, surface: str) -> Wall:
+    return SHAPES.get(surface, _cylinder_wall)(wear_map)
 
 
 @answering
@@ -98,16 +98,16 @@ def wear_unrolled(run: Trajectory, joint: str, surface: str = "bearing", *, ax: 
     Raises:
         ValueError: if there is no such surface that wears, or it has a single depth.
     """
-    wear_map, depth = _wear(run, joint, surface)
+    wear_map, depth = _wear_of_surface(run, joint, surface)
     if wear_map.flat:
-        return _along_walls(run, joint, surface, wear_map, depth, ax)
-    wall = _wall(wear_map, surface)
+        return _draw_along_walls(run, joint, surface, wear_map, depth, ax)
+    wall = _wall_of_surface(wear_map, surface)
     sheet = panels("wear_unrolled", ax, 1, 2, (9.5, 4.2), width_ratios=(3.2, 1.0), sharey=True)
     axes = sheet.axes.flat
     around = np.linspace(0, 360, depth.shape[0] + 1)
     factor, unit = readable(depth, "m")
     mesh = axes[0].pcolormesh(
-        around, wall.edges, factor * depth.T, cmap="inferno", norm=_stretched(factor * depth)
+        around, wall.edges, factor * depth.T, cmap="inferno", norm=_root_norm(factor * depth)
     )
     sheet.figure_of.colorbar(mesh, ax=axes[0], label=COLOUR.format(unit))
     axes[0].set_xlabel(wall.round_about.format(surface))
@@ -120,7 +120,7 @@ def wear_unrolled(run: Trajectory, joint: str, surface: str = "bearing", *, ax: 
     return warned(sheet, {"": run})
 
 
-def _along_walls(
+def _draw_along_walls(
     run: Trajectory, joint: str, surface: str, wear_map: Any, depth: np.ndarray, ax: Any
 ) -> Any:
     """Worn depth along the lower (-x) and the upper (x) wall or face, downwards."""
@@ -144,7 +144,7 @@ def _along_walls(
     return warned(sheet, {"": run})
 
 
-def _stretched(values):
+def _root_norm(values):
     return matplotlib.colors.PowerNorm(0.5, vmin=0.0, vmax=float(values.max()) or 1.0)
 
 
@@ -173,13 +173,13 @@ def wear_surface(
     Raises:
         ValueError: if there is no such surface that wears, it has a single depth, or it is flat.
     """
-    wear_map, depth = _wear(run, joint, surface)
+    wear_map, depth = _wear_of_surface(run, joint, surface)
     if wear_map.flat:
         raise ValueError(
             f'the {surface} of joint "{joint}" is flat; jaxclear.plot.wear_unrolled draws its '
             "depth along either side."
         )
-    wall = _wall(wear_map, surface)
+    wall = _wall_of_surface(wear_map, surface)
     radius = float(wear_map.radius)
     deepest = float(depth.max())
     drawn = DEPTH_SHARE * radius / (deepest or 1.0) if exaggeration is None else exaggeration
@@ -190,7 +190,7 @@ def wear_surface(
     sheet = panels("wear_surface", ax, size=(7.5, 6.0), space=True)
     axis = sheet.one
     factor, unit = readable(depth, "m")
-    norm = _stretched(factor * depth)
+    norm = _root_norm(factor * depth)
     colours = matplotlib.colormaps["YlOrRd"](norm(factor * depth))
     grid = {"edgecolor": (0, 0, 0, 0.06), "linewidth": 0.2, "rstride": 1, "cstride": 1}
     axis.plot_surface(across, upward, heights, facecolors=colours, shade=False, **grid)

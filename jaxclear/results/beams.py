@@ -11,7 +11,7 @@ from jaxclear.ground.arguments import check_name
 LINES = ("chord", "start")
 
 
-def _beam(run: Any, name: str) -> Beam:
+def _find_beam(run: Any, name: str) -> Beam:
     beams = {n: b for n, b in run.mechanism.bodies.items() if isinstance(b, Beam)}
     check_name("beam", name, beams, " in this mechanism")
     return beams[name]
@@ -20,8 +20,14 @@ def _beam(run: Any, name: str) -> Beam:
 def deflection(
     run: Any, name: str, relative_to: Literal["chord", "start"]
 ) -> Float[Array, "time place 3"]:
-    """See `Trajectory.deflection`."""
-    beam = _beam(run, name)
+    """See `Trajectory.deflection`.
+
+    Args:
+        run: trajectory of the mechanism.
+        name: of the beam.
+        relative_to: "chord" between its ends, or "start": the tangent at its first end.
+    """
+    beam = _find_beam(run, name)
     check_name("line in relative_to", relative_to, LINES)
     ends = beam.ends()
     pieces = [run.body(piece_name(name, i)) for i in range(len(ends) - 1)]
@@ -40,7 +46,7 @@ def deflection(
 
 def stress(run: Any, name: str) -> Float[Array, "time element"]:
     """See `Trajectory.stress`."""
-    beam = _beam(run, name)
+    beam = _find_beam(run, name)
     element = beam.length / beam.segments
     strain: dict[str, Any] = {"bend_y": 0.0, "bend_z": 0.0, "stretch": 0.0}
     for kind in {hinge.kind for hinge in beam.hinges(name)} & set(strain):

@@ -48,8 +48,14 @@ REACTION = {
 
 
 def of_run(history: StateHistory, worn: dict, attributes: dict, flat: bool) -> Any:
-    """Body motion, contacts, reactions, wear maps and, if tracked, energies: as a tree by body,
-    joint and surface, or as one flat data set."""
+    """A run as an xarray DataTree by body, joint and surface, or as one flat data set.
+
+    Args:
+        history: states of the run, from which motion, contacts and reactions are computed.
+        worn: depth maps [m] at the end, by joint and surface.
+        attributes: of the whole.
+        flat: whether to return one Dataset with dotted names.
+    """
     import xarray
 
     nodes = _nodes(history, worn)
@@ -144,14 +150,21 @@ class _Solid(NamedTuple):
 
 
 def write_vtk(run: Any, folder: Any, frames: int, meshes: Any) -> Path:
-    """Writes the series into a folder, which is made; the path of its `run.pvd`."""
+    """Writes a run as a series of VTK files; returns the path of its `run.pvd`.
+
+    Args:
+        run: trajectory of the mechanism.
+        folder: created if it does not exist.
+        frames: number of saving times that are written, evenly chosen.
+        meshes: by body, instead of the solid that would be drawn.
+    """
     import meshio
 
     check_count("frames of to_vtk", frames)
     folder = Path(folder)
     if folder.exists() and not folder.is_dir():
         raise ValueError(f"the folder {folder} is a file; give a folder.")
-    solids = [*_bodies(run, meshes), *_walls(run)]
+    solids = [*_body_solids(run, meshes), *_wall_solids(run)]
     folder.mkdir(parents=True, exist_ok=True)
     time = np.asarray(run.time)
     last = int(np.sum(time <= float(run.ended) * (1 + 1e-12)))
@@ -167,7 +180,7 @@ def write_vtk(run: Any, folder: Any, frames: int, meshes: Any) -> Path:
     root = ElementTree.Element("VTKFile", type="Collection", version="0.1")
     series = ElementTree.SubElement(root, "Collection")
     for count, at in enumerate(chosen):
-        placed = [_placed(one, motions.get(one.body), at) for one in solids]
+        placed = [_place_solid(one, motions.get(one.body), at) for one in solids]
         points, velocity = (np.concatenate(x) for x in zip(*placed, strict=True))
         name = f"run_{count:05d}.vtu"
         meshio.Mesh(
@@ -182,7 +195,7 @@ def write_vtk(run: Any, folder: Any, frames: int, meshes: Any) -> Path:
     return path
 
 
-def _bodies(run: Any, meshes: Any) -> list[_Solid]:
+def _body_solids(run: Any, meshes: Any) -> list[_Solid]:
     solids = parts(run, checked_meshes(run, meshes), size_of(run))
     return [
         _Solid(name, x.points, "triangle", x.corners, np.zeros(len(x.corners)))
@@ -191,7 +204,7 @@ def _bodies(run: Any, meshes: Any) -> list[_Solid]:
     ]
 
 
-def _walls(run: Any) -> list[_Solid]:
+def _wall_solids(run: Any) -> list[_Solid]:
     """Every worn wall: of a bearing, socket or guide on the parent, of a journal, ball or slider on
     the child."""
     solids = []
@@ -213,7 +226,7 @@ def _walls(run: Any) -> list[_Solid]:
     return solids
 
 
-def _placed(solid: _Solid, motion: Any, at: int) -> tuple[np.ndarray, np.ndarray]:
+def _place_solid(solid: _Solid, motion: Any, at: int) -> tuple[np.ndarray, np.ndarray]:
     """Points [m] and their velocity [m/s] in the ground frame at a saving time."""
     if motion is None:
         return solid.points, np.zeros_like(solid.points)

@@ -99,12 +99,12 @@ class BodyHistory(AbstractHistory):
     @property
     def acceleration(self) -> Float[Array, "time 3"]:
         """Acceleration of the centre of mass [m/s^2], shape (time, 3), ground axes."""
-        return _accelerations(self.history)[self.name][0]
+        return _accelerations_by_body(self.history)[self.name][0]
 
     @property
     def angular_acceleration(self) -> Float[Array, "time 3"]:
         """Angular acceleration [rad/s^2], shape (time, 3), ground axes."""
-        return _accelerations(self.history)[self.name][1]
+        return _accelerations_by_body(self.history)[self.name][1]
 
     @property
     def quaternion(self) -> Float[Array, "time 4"]:
@@ -138,7 +138,7 @@ class MarkerHistory(AbstractHistory):
 
         It follows from the equations of motion, as that of a `BodyHistory`.
         """
-        linear, angular = _accelerations(self.body.history)[self.body.name]
+        linear, angular = _accelerations_by_body(self.body.history)[self.body.name]
         spin, arm = self.body.spin, self.position - self.body.com
         return linear + jnp.cross(angular, arm) + jnp.cross(spin, jnp.cross(spin, arm))
 
@@ -155,7 +155,14 @@ class MarkerHistory(AbstractHistory):
 def marker(
     read: Callable[[str], Any], mechanism: Mechanism, body: str | Marker, at: Any
 ) -> MarkerHistory:
-    """A marker, or a point `at` [m] of a body whose motion is `read` by its name."""
+    """Motion of a marker, or of a point of a body, over the saving times.
+
+    Args:
+        read: function from a body's name to its motion.
+        mechanism: whose beams place the point on a piece.
+        body: name, or a marker.
+        at: point in the body's frame [m]; None for a marker.
+    """
     if isinstance(body, Marker) and at is not None:
         raise ValueError(f'a marker on "{body.body}" has its place; leave `at` out beside it.')
     where = on_piece(mechanism.bodies, body if isinstance(body, Marker) else Marker(body, at))
@@ -264,12 +271,12 @@ class EnergyHistory(AbstractHistory):
 def body(history: StateHistory, name: str) -> BodyHistory:
     """Motion of a body."""
     check_name(name, history.mechanism.bodies, "body")
-    com, rotation, velocity, spin, origin = _body(history, name)
+    com, rotation, velocity, spin, origin = _body_columns(history, name)
     return BodyHistory(com, rotation, velocity, spin, origin, history, name)
 
 
 @eqx.filter_jit
-def _body(history, name):
+def _body_columns(history, name):
     com = sp.vec3(history.mechanism.bodies[name].com)
 
     def one(now):
@@ -298,7 +305,7 @@ def solved(history: StateHistory, now: Instant) -> tuple[System, Forces, Solutio
 
 
 @eqx.filter_jit
-def _accelerations(history):
+def _accelerations_by_body(history):
     """By body that of its centre of mass, and the angular one."""
 
     def one(now):
@@ -322,7 +329,7 @@ def _accelerations(history):
 def contact(history: StateHistory, name: str) -> ContactHistory:
     """Forces and gaps of a joint with clearance, as the formulation tells of them."""
     check_contact_joint(history, name)
-    return _contact(history, name)
+    return _contact_columns(history, name)
 
 
 def contact_impulse(history: StateHistory, name: str) -> Float[Array, " time"]:
@@ -340,7 +347,7 @@ def check_contact_joint(history: StateHistory, name: str) -> None:
 
 
 @eqx.filter_jit
-def _contact(history, name):
+def _contact_columns(history, name):
     values = over_time(history, lambda now: history.formulation.contact(now, name)[:-1])
     parts = tuple(map(columns, values))
     names = _contact_names(history, name, parts[2].shape[1])
@@ -368,12 +375,17 @@ def reaction(history: StateHistory, name: str) -> ReactionHistory:
     check_name(name, [*history.mechanism.connections, *meshing, *in_joints], "joint")
     kind = "coupling" if name in couplings else "joint"
     unique = is_unique(history, name, f'the reaction of {kind} "{name}"')
-    return dataclasses.replace(_reaction(history, name), unique=unique)
+    return dataclasses.replace(_reaction_columns(history, name), unique=unique)
 
 
 def is_unique(history: StateHistory, name: str, what: str) -> bool:
-    """Whether overconstrained loops determine the reaction of a joint, or what a coupling
-    transmits; warns where they do not."""
+    """Whether overconstrained loops determine the reaction of a joint; warns where they do not.
+
+    Args:
+        history: of a mechanism whose redundancy is known.
+        name: joint or coupling.
+        what: begins the warning: what is read of it.
+    """
     mechanism = history.mechanism
     redundancy = mechanism.topology.redundancy
     if redundancy is None or name not in redundancy.joints:
@@ -390,19 +402,19 @@ def is_unique(history: StateHistory, name: str, what: str) -> bool:
 
 
 @eqx.filter_jit
-def _reaction(history, name):
+def _reaction_columns(history, name):
     def one(now):
         system, forces, solution = solved(history, now)
         forces = dynamics.with_closures(system, forces, solution)
         if name not in history.mechanism.connections:
             rows = [row for row in forces.rows if row.owner == name]
             place = next(place for row in rows for place in row.direction.places)
-            return _in_ground(now, place.closure, rows, place.joint)
+            return _wrench_in_ground(now, place.closure, rows, place.joint)
         if system.topology.branch_of(name) is not None:
-            return _branch_reaction(now, forces, solution, name)
+            return _reaction_of_branch(now, forces, solution, name)
         closures = dict(zip(system.topology.loops, system.closures, strict=True))
         closures |= {joint: bearing.closure for joint, bearing in system.bearings.items()}
-        return _in_ground(now, closures[name], forces.rows, name)
+        return _wrench_in_ground(now, closures[name], forces.rows, name)
 
     return ReactionHistory(*map(columns, over_time(history, one)))
 
@@ -428,7 +440,7 @@ def load_loss(history: StateHistory, name: str) -> Any:
     return over_time(history, one)[0]
 
 
-def _branch_reaction(now, forces, solution, name):
+def _reaction_of_branch(now, forces, solution, name):
     """Of a connection of the tree."""
     system = now.model.system
     branch = system.topology.branch_of(name)
@@ -441,11 +453,11 @@ def _branch_reaction(now, forces, solution, name):
     loads = [load for load in system.load_closures if system.loads[load].connection == name]
     if not loads:
         return force, torque
-    more, moment = _in_ground(now, system.load_closures[loads[0]], forces.rows, name)
+    more, moment = _wrench_in_ground(now, system.load_closures[loads[0]], forces.rows, name)
     return sp.plus(force, more), sp.plus(torque, moment)
 
 
-def _in_ground(now, closure, rows, joint):
+def _wrench_in_ground(now, closure, rows, joint):
     """The sum of rows in a joint between the markers of a closure."""
     wrench = wrench_in_joint(rows, joint)
     rotation = kinematics.relative_motion(closure, now.motions)[0].parent_pose.rotation
@@ -490,11 +502,11 @@ def energies(history: StateHistory) -> EnergyHistory:
     """Energies over time; of a run with `balance=True`."""
     if not history.balanced:
         raise ValueError("this run did not track energies; simulate with balance=True.")
-    return _energies(history)
+    return _energy_columns(history)
 
 
 @eqx.filter_jit
-def _energies(history):
+def _energy_columns(history):
     def one(now):
         return (
             *dynamics.mechanical_energy(now.model.system, history.formulation.forces(now)),
@@ -513,7 +525,13 @@ def _energies(history):
 
 
 def worn_volume(history: StateHistory, joint: str, surface: str) -> Float[Array, " time"]:
-    """Volume lost by a surface of a joint over time [m3]; 0 where it does not wear."""
+    """Volume lost by a surface over time [m3]; 0 where it does not wear.
+
+    Args:
+        history: states of the run.
+        joint: name of the clearance joint.
+        surface: name of one of its surfaces, such as "bearing".
+    """
     slots = [s for s in history.layout().wear if (s.bearing, s.surface) == (joint, surface)]
     return sum((history.states[:, slot.start] for slot in slots), jnp.zeros_like(history.time))
 
@@ -521,7 +539,7 @@ def worn_volume(history: StateHistory, joint: str, surface: str) -> Float[Array,
 LINE = SITUATIONS.index("a line (points on one side)")
 
 
-def _over_ends(history: StateHistory, name: str, function: Any) -> Any:
+def _map_over_ends(history: StateHistory, name: str, function: Any) -> Any:
     """Maps a function of where the gap carries over the saving times."""
     check_contact_joint(history, name)
 
@@ -540,7 +558,7 @@ def _over_ends(history: StateHistory, name: str, function: Any) -> Any:
 @eqx.filter_jit
 def situations(history: StateHistory, name: str) -> Int[Array, " time"]:
     """How a joint carries at every saving time: index into `SITUATIONS`."""
-    return _over_ends(history, name, situation)
+    return _map_over_ends(history, name, situation)
 
 
 @eqx.filter_jit
@@ -553,7 +571,7 @@ def _sides(history: StateHistory, name: str):
         first, last = ends[0].force, ends[-1].force
         return sp.dot(first, last), sp.stack(sp.plus(first, last))
 
-    return _over_ends(history, name, one)
+    return _map_over_ends(history, name, one)
 
 
 def switchings(history: StateHistory, name: str) -> Any:

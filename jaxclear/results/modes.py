@@ -38,8 +38,16 @@ COLUMNS = ["time [s]", "joint", "contact", "event"]
 
 
 def events(history: StateHistory, noted: Events | None, names: tuple[str, ...]) -> Any:
-    """The events of joints in the order of time. Raises `ValueError` for a run that kept none, or
-    an unknown joint; warns where some were not kept."""
+    """Touches and releases as a table, in the order of time; warns where some were not stored.
+
+    Args:
+        history: states of the run.
+        noted: events that the run stored; None: none.
+        names: joints; empty: all.
+
+    Raises:
+        ValueError: the run stored no events, or a joint is unknown.
+    """
     if noted is None:
         raise ValueError(
             "this run kept no touches and releases; simulate(..., save=Saving(events=10)) keeps 10 "
@@ -135,24 +143,30 @@ class Change(NamedTuple):
 
 
 def contact_path(history: StateHistory, name: str, noted: Events | None) -> tuple[Any, list[Spell]]:
-    """(largest indentation [m] of a joint over time, when it touches and when not)."""
+    """Largest indentation [m] of a joint as a function of time, and its spells of contact.
+
+    Args:
+        history: states of the run.
+        name: clearance joint.
+        noted: events that the run stored, which give exact times; None: interpolated.
+    """
     time = np.asarray(history.time)
     depths, rates = (np.asarray(each) for each in _indentations(history, name))
     if noted is None:
-        path = _deepest(time, depths, rates)
-        changes = _changes_between(path, time[0], time[-1])
+        path = _path_of_deepest(time, depths, rates)
+        changes = _zeros_between(path, time[0], time[-1])
         first = changes[0].time if changes else time[-1]
-        return path, _spells_of(time, changes, bool(path(0.5 * (time[0] + first)) > 0))
+        return path, _spells_between(time, changes, bool(path(0.5 * (time[0] + first)) > 0))
     contacts = [each for each in of_contacts(history, noted) if each.joint == name]
     warn_of_missing(sum(each.missing for each in contacts), noted)
     paths = [_with_events(time, depths[:, k], rates[:, k], each) for k, each in enumerate(contacts)]
     knots = np.unique(np.concatenate([path.x for path in paths]))
     at = lambda order: np.stack([path(knots, order) for path in paths], axis=1)
     changes_of = [
-        _contact(path, time, depths[:, k], each)
+        _contact_changes(path, time, depths[:, k], each)
         for k, (path, each) in enumerate(zip(paths, contacts, strict=True))
     ]
-    return _deepest(knots, at(0), at(1)), _joined(time, changes_of)
+    return _path_of_deepest(knots, at(0), at(1)), _join_contacts(time, changes_of)
 
 
 @eqx.filter_jit
@@ -169,7 +183,7 @@ def _indentations(history, name):
     return over_time(history, one)
 
 
-def _deepest(time: np.ndarray, depths: np.ndarray, rates: np.ndarray) -> Any:
+def _path_of_deepest(time: np.ndarray, depths: np.ndarray, rates: np.ndarray) -> Any:
     """Through the deepest of all contacts at each time."""
     which = np.argmax(depths, axis=1)[:, None]
     along = (np.take_along_axis(each, which, axis=1)[:, 0] for each in (depths, rates))
@@ -186,7 +200,7 @@ def _with_events(time: Any, depth: Any, rate: Any, events_of: ContactEvents) -> 
     return scipy.interpolate.CubicHermiteSpline(times, depth[first], rate[first])
 
 
-def _changes_between(path: Any, start: float, stop: float) -> list[Change]:
+def _zeros_between(path: Any, start: float, stop: float) -> list[Change]:
     """Where a curve passes 0, as far as saving times tell."""
     roots = np.unique(path.roots(discontinuity=False, extrapolate=False))
     roots = roots[np.isfinite(roots) & (roots > start) & (roots < stop)]
@@ -197,7 +211,7 @@ def _changes_between(path: Any, start: float, stop: float) -> list[Change]:
     ]
 
 
-def _contact(
+def _contact_changes(
     path: Any, time: np.ndarray, depth: np.ndarray, events_of: ContactEvents
 ) -> tuple[bool, list[Change]]:
     """(whether a contact is closed at first, when it closes and opens)."""
@@ -215,12 +229,12 @@ def _contact(
             changes.append(Change(float(at), closed, EVENT))
             start = float(at)
         if events_of.counts[i] > events_of.is_saved[i].sum():
-            changes += _changes_between(path, start, stop)
+            changes += _zeros_between(path, start, stop)
             closed = bool(ends[i])
     return bool(is_closed_at_start[0]), changes
 
 
-def _joined(time: np.ndarray, contacts: list[tuple[bool, list[Change]]]) -> list[Spell]:
+def _join_contacts(time: np.ndarray, contacts: list[tuple[bool, list[Change]]]) -> list[Spell]:
     """When any of a joint's contacts is closed."""
     closed = [first for first, _ in contacts]
     touching, changes = any(closed), []
@@ -230,10 +244,10 @@ def _joined(time: np.ndarray, contacts: list[tuple[bool, list[Change]]]) -> list
         if any(closed) != touching:
             touching = any(closed)
             changes.append(Change(change.time, touching, change.source))
-    return _spells_of(time, changes, any(first for first, _ in contacts))
+    return _spells_between(time, changes, any(first for first, _ in contacts))
 
 
-def _spells_of(time: np.ndarray, changes: list[Change], touching: bool) -> list[Spell]:
+def _spells_between(time: np.ndarray, changes: list[Change], touching: bool) -> list[Spell]:
     """The spells between changes, from the first saving time to the last."""
     marks = [Change(float(time[0]), touching, START), *changes]
     stops = [*(change.time for change in changes), float(time[-1])]
@@ -291,12 +305,20 @@ INSTANTS = {
 
 
 def phases(history: StateHistory, name: str, noted: Events | None = None) -> list[Phase]:
-    """The modes of a joint, one after the other, by the events that were `noted` where there are
-    any. Raises `ValueError` for another joint."""
+    """Phases of free flight, impact and contact of a joint, one after the other.
+
+    Args:
+        history: states of the run.
+        name: clearance joint.
+        noted: events that the run stored, which give exact times; None: interpolated.
+
+    Raises:
+        ValueError: the joint has no contacts.
+    """
     check_contact_joint(history, name)
     time = np.asarray(history.time)
     if history.formulation.forces_are_means:
-        return _of_forces(time, np.asarray(contact(history, name).normal_force).sum(axis=1))
+        return _phases_of_forces(time, np.asarray(contact(history, name).normal_force).sum(axis=1))
     if name not in history.mechanism.topology.clearances:
         # An ideal joint that rubs.
         return [Phase(time[0], time[-1], Mode.CONTACT, np.nan, START)]
@@ -308,20 +330,32 @@ def phases(history: StateHistory, name: str, noted: Events | None = None) -> lis
         elif source == START:
             result.append(Phase(start, stop, Mode.CONTACT, np.nan, source))
         else:
-            result += _touching(path, start, stop, source)
-    return _merged(result)
+            result += _phases_in_contact(path, start, stop, source)
+    return _merge_phases(result)
 
 
 def table(history: StateHistory, name: str, noted: Events | None = None) -> Any:
-    """The phases as a pandas table."""
+    """The phases of a joint as a pandas table.
+
+    Args:
+        history: states of the run.
+        name: clearance joint.
+        noted: events that the run stored; None: none.
+    """
     listed = phases(history, name, noted)
     rows = [(p.start, p.stop, p.mode.label, p.approach, p.source) for p in listed]
     labels = ["from [s]", "to [s]", "mode", "approach speed [m/s]", "start known by"]
-    return _with_source(as_table(rows, columns=labels), noted)
+    return _add_source(as_table(rows, columns=labels), noted)
 
 
 def combined(history: StateHistory, names: tuple[str, ...], noted: Events | None = None) -> Any:
-    """The modes of several joints side by side, as a pandas table: a row whenever one changes."""
+    """The phases of several joints as a pandas table, with a row whenever one changes.
+
+    Args:
+        history: states of the run.
+        names: clearance joints.
+        noted: events that the run stored; None: none.
+    """
     by_joint = {name: phases(history, name, noted) for name in names}
     starts = np.unique([phase.start for each in by_joint.values() for phase in each])
     columns: dict[str, Any] = {
@@ -331,16 +365,16 @@ def combined(history: StateHistory, names: tuple[str, ...], noted: Events | None
     for name, each in by_joint.items():
         place = np.searchsorted([phase.start for phase in each], starts, side="right") - 1
         columns[name] = [each[i].mode.label for i in place]
-    return _with_source(as_table(columns), noted)
+    return _add_source(as_table(columns), noted)
 
 
-def _with_source(frame: Any, noted: Events | None) -> Any:
+def _add_source(frame: Any, noted: Events | None) -> Any:
     """A table that says where its instants come from."""
     frame.attrs["instants"] = INSTANTS[noted is not None]
     return frame
 
 
-def _touching(path: Any, start: float, stop: float, source: str) -> list[Phase]:
+def _phases_in_contact(path: Any, start: float, stop: float, source: str) -> list[Phase]:
     """An impact, and the contact that it may end in."""
     approach = float(path.derivative()(start))
     end = _end_of_impact(path.derivative(), start, stop, SHARE * approach)
@@ -350,18 +384,18 @@ def _touching(path: Any, start: float, stop: float, source: str) -> list[Phase]:
 
 def _end_of_impact(rate: Any, start: float, stop: float, least: float) -> float:
     """When bodies that touched have come to rest, or have come back and stopped again [s]."""
-    stopped = _first(rate, least, start, stop)
+    stopped = _first_passage(rate, least, start, stop)
     if stopped is None:
         return stop
     # As long again as it took to stop, and once more: they come back by then, or not at all.
-    returning = _first(rate, -least, stopped, min(stop, stopped + 2 * (stopped - start)))
+    returning = _first_passage(rate, -least, stopped, min(stop, stopped + 2 * (stopped - start)))
     if returning is None:
         return stopped
-    back = _first(rate, -least, np.nextafter(returning, np.inf), stop)
+    back = _first_passage(rate, -least, np.nextafter(returning, np.inf), stop)
     return stop if back is None else back
 
 
-def _first(rate: Any, level: float, start: float, stop: float) -> float | None:
+def _first_passage(rate: Any, level: float, start: float, stop: float) -> float | None:
     """The first instant after `start` at which a rate passes a level; None where it does not."""
     lower, upper = np.searchsorted(rate.x, [start, stop])
     pieces = slice(max(lower - 1, 0), min(upper, len(rate.x) - 1))
@@ -371,7 +405,7 @@ def _first(rate: Any, level: float, start: float, stop: float) -> float | None:
     return float(times.min()) if len(times) else None
 
 
-def _of_forces(time: np.ndarray, force: np.ndarray) -> list[Phase]:
+def _phases_of_forces(time: np.ndarray, force: np.ndarray) -> list[Phase]:
     """Phases of forces that are means over the saving intervals: known to an interval."""
     result: list[Phase] = []
     for i, (start, stop) in enumerate(itertools.pairwise(time)):
@@ -379,10 +413,10 @@ def _of_forces(time: np.ndarray, force: np.ndarray) -> list[Phase]:
         if mode == Mode.CONTACT and result and result[-1].mode == Mode.FREE_FLIGHT:
             mode = Mode.IMPACT
         result.append(Phase(start, stop, mode, np.nan, SAVES if i else START))
-    return _merged(result)
+    return _merge_phases(result)
 
 
-def _merged(separate: list[Phase]) -> list[Phase]:
+def _merge_phases(separate: list[Phase]) -> list[Phase]:
     """Neighbours of one mode as one, but for impacts."""
     out: list[Phase] = []
     for phase in separate:

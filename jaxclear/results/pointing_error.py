@@ -74,13 +74,13 @@ def configurations(trajectory: Trajectory, links: Chain) -> ChainConfiguration:
         {name: (history.rotation, history.origin) for name, history in histories.items()}
     )
     away = [
-        _lean(trajectory, joint.name) if joint.permanent else deviation
+        _lean_of_joint(trajectory, joint.name) if joint.permanent else deviation
         for joint, deviation in zip(links.joints, measured.deviations, strict=True)
     ]
     return ChainConfiguration(measured.motions, tuple(away))
 
 
-def _lean(trajectory: Trajectory, name: str) -> Any:
+def _lean_of_joint(trajectory: Trajectory, name: str) -> Any:
     """Twists by which a joint that always touches leans in its gap."""
     if name not in trajectory.formulation.contact_joints(trajectory.mechanism):
         return None
@@ -98,16 +98,22 @@ def tip_errors(
     through: tuple[str, ...],
     nominal: Trajectory | None = None,
 ) -> tuple[Chain, ChainConfiguration, TipError]:
-    """The chain, how its joints stand, and the error of its tip, over the saving times (first
-    axis).
+    """The chain, its configuration, and the error of its tip, over the saving times (first axis).
 
-    `nominal=None`: against ideal joints at the coordinates that the run itself shows; else against
-    another run.
+    Args:
+        trajectory: run whose tip is read.
+        tip: marker on the last body.
+        base: "ground" or a body, from which the tip is seen.
+        through: names of connections on the path from base to tip.
+        nominal: run to compare with; None: ideal joints at the coordinates of the run itself.
+
+    Raises:
+        ValueError: the two runs have other chains or saving times.
     """
     ours = chain(trajectory.mechanism, base, tip, through)
     actual = configurations(trajectory, ours)
     if nominal is None:
-        return ours, actual, _errors(ours, actual, None, None)
+        return ours, actual, _errors_at(ours, actual, None, None)
     theirs = chain(nominal.mechanism, base, tip, through)
     steps, other_steps = (
         [(joint.name, joint.forward) for joint in links.joints] for links in (ours, theirs)
@@ -119,11 +125,11 @@ def tip_errors(
             "they must be the same connections, from the same side."
         )
     _check_times(trajectory, nominal)
-    return ours, actual, _errors(ours, actual, theirs, configurations(nominal, theirs))
+    return ours, actual, _errors_at(ours, actual, theirs, configurations(nominal, theirs))
 
 
 @eqx.filter_jit
-def _errors(links, actual, other, nominal):
+def _errors_at(links, actual, other, nominal):
     return jax.vmap(lambda now, then: tip_error(links, now, other, then))(actual, nominal)
 
 
@@ -206,11 +212,11 @@ class PointingError(AbstractShown):
             shares [1]; its last rows are the model's error and the exact one.
         """
         check_flags("budget", by_play=by_play)
-        parts = self._twists(by_play)
-        rows = {name: self._row(twist) | self._shares(twist) for name, twist in parts}
-        rows["model"] = self._row(self.model) | self._shares(self.model)
-        unshared = dict.fromkeys(self._shares(self.model), np.nan)
-        rows["exact"] = _sizes(self.pointing_angle, self.position_error) | unshared
+        parts = self._labelled_twists(by_play)
+        rows = {name: self._twist_row(twist) | self._twist_shares(twist) for name, twist in parts}
+        rows["model"] = self._twist_row(self.model) | self._twist_shares(self.model)
+        unshared = dict.fromkeys(self._twist_shares(self.model), np.nan)
+        rows["exact"] = _rms_and_max(self.pointing_angle, self.position_error) | unshared
         return as_table([{"joint": name} | row for name, row in rows.items()], index="joint")
 
     def to_dataset(self) -> Any:
@@ -237,16 +243,16 @@ class PointingError(AbstractShown):
         about: dict[str, Any] = {"tip": self.tip, "base": self.base, "warnings": self.warnings}
         return dataset(columns, coordinates, what="pointing error", **about)
 
-    def _twists(self, by_play):
+    def _labelled_twists(self, by_play):
         if not by_play:
             return [(name, self.contributions[name]) for name in self.names]
         motion = {name: self.contributions[name] for name in self.names if name == MOTION}
         return list((self.plays | motion).items())
 
-    def _row(self, twist):
-        return _sizes(turn(twist), shift(twist))
+    def _twist_row(self, twist):
+        return _rms_and_max(turn(twist), shift(twist))
 
-    def _shares(self, twist):
+    def _twist_shares(self, twist):
         def share(part):
             total = np.mean(np.sum(self.model[:, part] ** 2, axis=1))
             return (
@@ -275,9 +281,9 @@ class PointingError(AbstractShown):
         table = self.budget()
         text = (
             f'The z axis of the tip on "{self.tip}", seen from "{self.base}", is off by '
-            f"{_text(self.pointing_angle)} rad"
+            f"{_rms_text(self.pointing_angle)} rad"
         )
-        text += f" and its origin by {_text(self.position_error)} m."
+        text += f" and its origin by {_rms_text(self.position_error)} m."
         parts = table.loc[list(self.names)]
         for what in ("pointing", "position"):
             column = parts[f"share of {what} [1]"]
@@ -305,7 +311,7 @@ def shift(twist: np.ndarray) -> np.ndarray:
     return np.linalg.norm(twist[:, PLACE], axis=1)
 
 
-def _sizes(angle, length):
+def _rms_and_max(angle, length):
     return {
         "rms pointing [rad]": np.sqrt(np.mean(angle**2)),
         "max pointing [rad]": np.max(angle),
@@ -323,7 +329,7 @@ def _difference(model, exact, part):
     )
 
 
-def _text(values: np.ndarray) -> str:
+def _rms_text(values: np.ndarray) -> str:
     return f"{np.sqrt(np.mean(values**2)):.3g} (rms), {values.max():.3g} (largest)"
 
 
@@ -360,19 +366,19 @@ def pointing_error(
         ValueError: if there is no such tip, base or chain, if the chain is not serial, or if the
             runs have different chains or saving times.
     """
-    _check(trajectory, nominal)
+    _check_nominal(trajectory, nominal)
     expect(base, str, "base", "the name of a body")
     links, configuration, errors = tip_errors(
         trajectory, checked_tip(tip), base, checked_through(through), nominal
     )
-    contributions = _contributions(links, errors, nominal is not None)
+    contributions = _twists_by_joint(links, errors, nominal is not None)
     deviations = zip(links.names, configuration.deviations, strict=True)
     return PointingError(
         np.asarray(trajectory.time),
         np.asarray(errors.exact),
         sum(contributions.values(), np.zeros_like(np.asarray(errors.exact))),
         contributions,
-        _plays(links, errors),
+        _twists_by_play(links, errors),
         {name: np.asarray(twist) for name, twist in deviations if twist is not None},
         np.asarray(errors.pointing_angle),
         np.asarray(errors.position_error),
@@ -383,7 +389,7 @@ def pointing_error(
     )
 
 
-def _check(trajectory: Trajectory, nominal: Trajectory | None) -> None:
+def _check_nominal(trajectory: Trajectory, nominal: Trajectory | None) -> None:
     for run in (trajectory, *([] if nominal is None else [nominal])):
         required = "a run, as jaxclear.simulate returns it"
         expect(run, Trajectory, "what pointing_error is given", required)
@@ -394,7 +400,7 @@ def _check(trajectory: Trajectory, nominal: Trajectory | None) -> None:
         )
 
 
-def _plays(links: Chain, errors: TipError) -> dict[str, np.ndarray]:
+def _twists_by_play(links: Chain, errors: TipError) -> dict[str, np.ndarray]:
     """Twists of the tip by joint and play, as "J1 across"."""
     return {
         f"{joint.name} {play}": np.asarray(twists[k])
@@ -404,7 +410,7 @@ def _plays(links: Chain, errors: TipError) -> dict[str, np.ndarray]:
     }
 
 
-def _contributions(links: Chain, errors: TipError, with_motion: bool) -> dict[str, np.ndarray]:
+def _twists_by_joint(links: Chain, errors: TipError, with_motion: bool) -> dict[str, np.ndarray]:
     """Twists of the tip by joint, and what the joints' motions give beside them."""
     twists, missing = {}, []
     for joint, twist in zip(links.joints, errors.deviations, strict=True):

@@ -67,7 +67,7 @@ REACHES = {
 }
 
 
-def _row_of_numbers(values: Any) -> Any:
+def _as_row(values: Any) -> Any:
     return None if values is None else jnp.asarray(values, float)
 
 
@@ -224,7 +224,7 @@ class WornVolume(AbstractResponse):
         return run.worn_volume(self.joint, self.surface)[-1]
 
 
-def _as_point(body: Any) -> Marker:
+def _marker_of(body: Any) -> Marker:
     """A marker with its place; without one it stands for the centre of mass of a body."""
     own = checked_tip(body)
     return own if own is not body or own.at is not None else with_fields(own, at=(0.0, 0.0))
@@ -249,7 +249,7 @@ class PositionError(AbstractResponse):
             saving times than the run; if `axes` names other axes.
     """
 
-    body: Marker = eqx.field(converter=_as_point)
+    body: Marker = eqx.field(converter=_marker_of)
     reference: Float[Array, "time 3"] = eqx.field(
         converter=lenient_converter(lambda path: jnp.asarray(path, float))
     )
@@ -368,7 +368,7 @@ class LargestError(AbstractResponse):
     body: str | None = eqx.field(static=True, default=None, kw_only=True)
     axis: int = eqx.field(static=True, default=0, kw_only=True)
     reference: Float[Array, " time"] | None = eqx.field(
-        default=None, kw_only=True, converter=lenient_converter(_row_of_numbers)
+        default=None, kw_only=True, converter=lenient_converter(_as_row)
     )
     unit: str = eqx.field(static=True, default="", kw_only=True)
 
@@ -575,14 +575,14 @@ def peak_of_steps(run: Trajectory, name: str, saved: Scalar) -> Scalar:
     Returns:
         The larger of `saved` and the peak of the steps [N, N m], shape ().
     """
-    extremes, peak = run.extremes, _peak_of_any_step(run, name)
+    extremes, peak = run.extremes, _peak_over_steps(run, name)
     if extremes is not None and name in extremes.couplings:
         saved = jnp.maximum(saved, extremes.transmitted[extremes.couplings.index(name)])
     # A saving time is the end of a step too; as large, the peak beside it is the larger.
     return jnp.where(peak >= (1 - SAME_FORCE) * saved, peak, saved)
 
 
-def _peak_of_any_step(run: Trajectory, joint: str) -> Scalar:
+def _peak_over_steps(run: Trajectory, joint: str) -> Scalar:
     """Largest force [N] of any step, and elastic force at the deepest indentation; 0 where none was
     kept, and of contacts whose law changes with the radius as worn."""
     extremes = run.extremes

@@ -139,8 +139,8 @@ def synchronous_average(signal: Signal, bins: int = 32) -> np.ndarray:
 
     Source: McFadden & Toozhy 2000, Mech. Syst. Signal Process. 14, 981, doi:10.1006/mssp.2000.1309.
     """
-    cycle = _turns(signal, "synchronous_average").mean(1)
-    return _binned(cycle, bins) / signal.size
+    cycle = _require_turns(signal, "synchronous_average").mean(1)
+    return _bin_cycle(cycle, bins) / signal.size
 
 
 def spread_by_phase(signal: Signal, bins: int = 32) -> np.ndarray:
@@ -158,9 +158,9 @@ def spread_by_phase(signal: Signal, bins: int = 32) -> np.ndarray:
     Raises:
         ValueError: if the signal has no turns.
     """
-    turns = _turns(signal, "spread_by_phase")
+    turns = _require_turns(signal, "spread_by_phase")
     spread = turns.std(axis=1)
-    return np.log(_binned(spread, bins) / signal.size + LEAST)
+    return np.log(_bin_cycle(spread, bins) / signal.size + LEAST)
 
 
 def order_spectrum(signal: Signal, bands: int = 24) -> np.ndarray:
@@ -180,8 +180,8 @@ def order_spectrum(signal: Signal, bands: int = 24) -> np.ndarray:
     Raises:
         ValueError: if the signal has no turns.
     """
-    turns = _turns(signal, "order_spectrum")
-    return _powers(turns.reshape(len(turns), -1), bands, 1.5 * turns.shape[1])
+    turns = _require_turns(signal, "order_spectrum")
+    return _log_band_powers(turns.reshape(len(turns), -1), bands, 1.5 * turns.shape[1])
 
 
 def band_energies(signal: Signal, bands: int = 24) -> np.ndarray:
@@ -197,7 +197,7 @@ def band_energies(signal: Signal, bands: int = 24) -> np.ndarray:
     Returns:
         Natural logarithms, shape (signals, bands).
     """
-    return _powers(signal.values, bands, 4.0)
+    return _log_band_powers(signal.values, bands, 4.0)
 
 
 def jerk_quantiles(signal: Signal, shares: tuple[float, ...] = JERKS) -> np.ndarray:
@@ -214,7 +214,7 @@ def jerk_quantiles(signal: Signal, shares: tuple[float, ...] = JERKS) -> np.ndar
     Returns:
         Natural logarithms, shape (signals, shares).
     """
-    quantiles = np.quantile(_jerks(signal), shares, axis=1).T
+    quantiles = np.quantile(_jerks_of(signal), shares, axis=1).T
     return np.log(quantiles + LEAST)
 
 
@@ -253,7 +253,7 @@ def impact_rate(signal: Signal) -> np.ndarray:
         mean cycle's size, and the number of times that a change larger than that size begins,
         divided by the number of samples.
     """
-    jerks = _jerks(signal)
+    jerks = _jerks_of(signal)
     quiet = [(jerks < limit).mean(1) for limit in QUIET]
     hit = jerks > IMPACT
     return np.column_stack([*quiet, (hit[:, 1:] & ~hit[:, :-1]).mean(1)])
@@ -290,7 +290,7 @@ def usual_statistics(turns: bool) -> dict[str, Callable[[Signal], np.ndarray]]:
     return {one.__name__.replace("_", " "): one for one in every}
 
 
-def _turns(signal: Signal, owner: str) -> np.ndarray:
+def _require_turns(signal: Signal, owner: str) -> np.ndarray:
     if signal.turns is None:
         raise ValueError(
             f"signal.{owner} is of turns, and nothing tells these: give the Measurement its turn, "
@@ -299,17 +299,17 @@ def _turns(signal: Signal, owner: str) -> np.ndarray:
     return signal.turns
 
 
-def _binned(cycle: np.ndarray, bins: int) -> np.ndarray:
+def _bin_cycle(cycle: np.ndarray, bins: int) -> np.ndarray:
     """Means over equal parts of a cycle."""
     parts = np.array_split(np.arange(cycle.shape[1]), bins)
     return np.stack([cycle[:, part].mean(1) for part in parts if len(part)], axis=1)
 
 
-def _jerks(signal: Signal) -> np.ndarray:
+def _jerks_of(signal: Signal) -> np.ndarray:
     return np.abs(np.diff(signal.values, axis=1)) / signal.size
 
 
-def _powers(values: np.ndarray, bands: int, first: float) -> np.ndarray:
+def _log_band_powers(values: np.ndarray, bands: int, first: float) -> np.ndarray:
     """Logarithms of mean powers in bands from the `first` line of the spectrum on."""
     count = values.shape[1]
     centred = values - values.mean(1, keepdims=True)

@@ -88,7 +88,12 @@ def rod(radius: float, length: float) -> Triangles:
 
 
 def tube(inner: float, outer: float, length: float) -> Triangles:
-    """A hollow cylinder along z about the origin."""
+    """A hollow cylinder along z about the origin.
+
+    Args:
+        inner, outer: radii [m].
+        length: along z [m].
+    """
     half = 0.5 * length
     return _revolve(np.array([[inner, -half], [outer, -half], [outer, half], [inner, half]]))
 
@@ -107,7 +112,12 @@ def capsule(radius: float, length: float) -> Triangles:
 
 
 def between(start: np.ndarray, end: np.ndarray, radius: float) -> Triangles:
-    """A cylinder from one place to another."""
+    """A cylinder from one point to another.
+
+    Args:
+        start, end: centres of its faces [m].
+        radius: [m].
+    """
     axis = np.asarray(end) - start
     length = float(np.linalg.norm(axis))
     return rod(radius, length).moved(_along(axis / length), 0.5 * (np.asarray(start) + end))
@@ -122,7 +132,13 @@ def _along(direction: np.ndarray) -> np.ndarray:
 
 
 def of_body(body: Body, joints: np.ndarray, size: float) -> Triangles:
-    """A body of a mechanism of this `size` [m], whose joints are in these places (n, 3) [m]."""
+    """A solid for a body: a block by its inertia, with rods to its joints.
+
+    Args:
+        body: with mass, centre of mass and inertia.
+        joints: positions of its joints [m], shape (n, 3).
+        size: of the mechanism [m], by which rods are drawn.
+    """
     com = np.zeros(3)
     if body.com is not None:
         com[: len(body.com)] = [float(x) for x in body.com]
@@ -196,19 +212,25 @@ def moves_in_plane(run: Any) -> bool:
 
 
 def parts(run: Any, meshes: Mapping[str, Triangles], size: float) -> dict[str, Part]:
-    """What every body, and the ground, is drawn by."""
+    """Solids by which the ground and every body are drawn, by name.
+
+    Args:
+        run: trajectory; joints that slide are drawn as long as they travel.
+        meshes: by body, instead of the solid that would be drawn.
+        size: of the mechanism [m].
+    """
     ends: dict[str, list[np.ndarray]] = {name: [] for name in (GROUND, *run.mechanism.bodies)}
     joints: dict[str, dict[str, Triangles]] = {name: {} for name in ends}
     hinges = parts_of_beams(run.mechanism.loads)
     for name, connection in run.mechanism.connections.items():
-        outer, inner = _joint(connection, size, _travel(run, name))
+        outer, inner = _joint(connection, size, _travel_of_slider(run, name))
         for marker, part in ((connection.parent, outer), (connection.child, inner)):
             rotation, place = marker_frame(marker)
             if not len(part.points):
                 continue
             ends[marker.body].append(place)
             if marker.body == GROUND and not slides(connection.joint):
-                part = joined([part, _plate(part)])
+                part = joined([part, _base_plate(part)])
             if name not in hinges:
                 joints[marker.body][name] = part.moved(rotation, place)
     solids = {name: joined([]) for name in ends} | dict(meshes)
@@ -233,7 +255,7 @@ def rows_of(joint: Any) -> set[str]:
     return set(getattr(gap, "rows", ()) or getattr(gap, "ideal_rows", ()))
 
 
-def _plate(part: Triangles) -> Triangles:
+def _base_plate(part: Triangles) -> Triangles:
     """What a joint of the ground is fastened to: a square behind its part."""
     width, thick = 1.5 * np.ptp(part.points[:, 0]), 0.1 * np.ptp(part.points[:, 0])
     behind = np.array([0.0, 0.0, part.points[:, 2].min() - 0.5 * thick])
@@ -248,7 +270,7 @@ def _joint(connection: Connection, size: float, travel: tuple[float, float]) -> 
     if not {"x"} <= rows:
         return empty, empty
     if slides(joint):
-        return _rail(joint, size, travel)
+        return _rail_solids(joint, size, travel)
     radius = float(getattr(joint, "bearing_radius", getattr(joint, "socket_radius", PIN * size)))
     if rows == {"x", "y", "z"}:
         ring = tube(1.02 * radius, AROUND_IT * radius, radius)
@@ -257,7 +279,7 @@ def _joint(connection: Connection, size: float, travel: tuple[float, float]) -> 
     return tube(radius, AROUND_IT * radius, 0.8 * long), rod(0.98 * radius, long)
 
 
-def _rail(joint: Any, size: float, travel: tuple[float, float]) -> tuple:
+def _rail_solids(joint: Any, size: float, travel: tuple[float, float]) -> tuple:
     """Rails on both sides, as long as the slider travels, and the slider."""
     width = float(getattr(joint, "width", 2 * PIN * size))
     long = float(getattr(joint, "length", 2 * width))
@@ -273,7 +295,7 @@ def _rail(joint: Any, size: float, travel: tuple[float, float]) -> tuple:
     return joined(rails), box((width, width, long))
 
 
-def _travel(run: Any, name: str) -> tuple[float, float]:
+def _travel_of_slider(run: Any, name: str) -> tuple[float, float]:
     """Least and largest place [m] of a child's marker along the z axis of its parent's."""
     along = relative_motion(run, name).offset[:, 2]
     along = along[np.isfinite(along)]
@@ -334,12 +356,12 @@ class Wall(NamedTuple):
     depth: np.ndarray
 
 
-def _cylinder(wear_map: Any, reach: np.ndarray) -> np.ndarray:
+def _cylinder_points(wear_map: Any, reach: np.ndarray) -> np.ndarray:
     angle, height = _grid(reach, (-0.5 * float(wear_map.length), 0.5 * float(wear_map.length)))
     return np.stack([reach * np.cos(angle), reach * np.sin(angle), height], -1)
 
 
-def _sphere(wear_map: Any, reach: np.ndarray) -> np.ndarray:
+def _sphere_points(wear_map: Any, reach: np.ndarray) -> np.ndarray:
     angle, rise = _grid(reach, (-0.5 * np.pi, 0.5 * np.pi))
     flat = reach * np.cos(rise)
     return np.stack([flat * np.cos(angle), flat * np.sin(angle), reach * np.sin(rise)], -1)
@@ -354,18 +376,23 @@ def _grid(reach: np.ndarray, ends: tuple[float, float]) -> tuple[np.ndarray, np.
 
 # The shape of a wall, and whether wear widens it, by the surface's name.
 SHAPES: dict[str, tuple[Callable, int]] = {
-    "bearing": (_cylinder, 1),
-    "journal": (_cylinder, -1),
-    "socket": (_sphere, 1),
-    "ball": (_sphere, -1),
+    "bearing": (_cylinder_points, 1),
+    "journal": (_cylinder_points, -1),
+    "socket": (_sphere_points, 1),
+    "ball": (_sphere_points, -1),
 }
 
 
 def wall(wear_map: Any, surface: str, depth: np.ndarray) -> Wall | None:
-    """The worn wall of a surface; None of one whose shape is not known. `depth` (around, along)
-    [m]."""
+    """The worn wall of a surface; None where its shape is unknown.
+
+    Args:
+        wear_map: cells of the surface.
+        surface: its name, such as "bearing".
+        depth: worn depth [m] of each cell, shape (around, along).
+    """
     if wear_map.flat:
-        return _flat(wear_map, 1 if surface == "guide" else -1, depth)
+        return _flat_wall(wear_map, 1 if surface == "guide" else -1, depth)
     if surface not in SHAPES:
         return None
     shape, sign = SHAPES[surface]
@@ -382,7 +409,7 @@ def wall(wear_map: Any, surface: str, depth: np.ndarray) -> Wall | None:
     return Wall(points, np.stack(corners, -1).reshape(-1, 4), depth.reshape(-1))
 
 
-def _flat(wear_map: Any, sign: int, depth: np.ndarray) -> Wall:
+def _flat_wall(wear_map: Any, sign: int, depth: np.ndarray) -> Wall:
     """The walls of a guide, or the faces of a slider, each as deep as its cells at their edges."""
     along = depth.shape[1]
     padded = np.pad(depth, ((0, 0), (1, 1)), mode="edge")

@@ -296,7 +296,7 @@ class State(AbstractQuantified):
         check_flags("State", concentric=concentric)
         if worn is not None:
             expect(worn, Mapping, "worn of a State", "a dictionary by joint, such as run.worn")
-            worn = {joint: dict(_surfaces(joint, depths)) for joint, depths in worn.items()}
+            worn = {joint: dict(_check_surfaces(joint, depths)) for joint, depths in worn.items()}
         if motion is not None:
             expect(motion, SavedMotion, "motion of a State", "that of a run, run.state().motion")
         self.worn, self.concentric, self.motion = worn, concentric, motion
@@ -321,6 +321,6 @@ class State(AbstractQuantified):
         return f"{'; '.join([where, *deepest])}."
 
 
-def _surfaces(joint: Any, depths: Any) -> Mapping:
+def _check_surfaces(joint: Any, depths: Any) -> Mapping:
     expect(depths, Mapping, f'worn["{joint}"] of a State', "a dictionary of depths by surface")
     return depths

@@ -328,7 +328,8 @@ class Trajectory(AbstractShown):
                 f"the run ended at {float(self.ended):.6g} s, before the saving time at "
                 f"{float(self.time[index]):.6g} s."
             )
-        model, names = self.history.model(), self.state_names()
+        model = self.history.model()
+        names = state.names(model.system, model.layout)
         # Surfaces have worn by what was lost until then, and shafts lie on flanks.
         read = jax.tree.map(lambda rows: rows[index], self.history.read)
         layout, worn = model.layout, (read, self.worn)

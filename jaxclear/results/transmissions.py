@@ -60,10 +60,10 @@ def coupling(history: StateHistory, name: str) -> CouplingHistory:
     every = history.mechanism.couplings
     valid = [n for n, c in every.items() if c.gives or c.play is not None]
     check_name(name, valid, "coupling with play or stiffness")
-    return _coupling(history, name) if every[name].gives else _seated(history, name)
+    return _coupling_history(history, name) if every[name].gives else _seated_history(history, name)
 
 
-def _seated(history: StateHistory, name: str) -> CouplingHistory:
+def _seated_history(history: StateHistory, name: str) -> CouplingHistory:
     """A coupling whose flanks always press: its twist is half the play to the side that what it
     transmits asks for, and what its stiffness winds up."""
     coupling: Any = history.mechanism.couplings[name]
@@ -93,7 +93,7 @@ def switchings(history: StateHistory, name: str) -> Any:
 
 
 @eqx.filter_jit
-def _coupling(history, name):
+def _coupling_history(history, name):
     def one(now: Instant):
         force = history.formulation.forces(now).pressing[name]
         flank = jnp.zeros(())
@@ -114,15 +114,15 @@ def transmitted(history: StateHistory, name: str) -> Float[Array, " time"]:
     valid = (*mechanism.couplings, *mechanism.driven, *loads)
     check_name(name, valid, "coupling, driven joint or load on a coordinate")
     if name in loads and name not in (*mechanism.couplings, *mechanism.driven):
-        return _of_load(history, name)
+        return _force_of_load(history, name)
     if name not in mechanism.couplings:
         return driving(history, name)
     is_unique(history, name, f'what coupling "{name}" transmits')
-    return _sent(history, name)
+    return _transmitted_over_time(history, name)
 
 
 @eqx.filter_jit
-def _of_load(history: StateHistory, name: str) -> Float[Array, " time"]:
+def _force_of_load(history: StateHistory, name: str) -> Float[Array, " time"]:
     """What a load gives along its first coordinate [N m, N]; one whose force steps find as its mean
     over each saving interval."""
 
@@ -134,17 +134,25 @@ def _of_load(history: StateHistory, name: str) -> Float[Array, " time"]:
 
 
 @eqx.filter_jit
-def _sent(history: StateHistory, name: str) -> Float[Array, " time"]:
+def _transmitted_over_time(history: StateHistory, name: str) -> Float[Array, " time"]:
     return over_time(history, lambda now: sent_at(history, now, (name,))[0])
 
 
 def sent_at(history: StateHistory, now: Instant, names: tuple[str, ...]) -> tuple[Array, ...]:
-    """What each of these couplings transmits at an instant [N m, N]: of a row its multiplier; of
-    one with play or stiffness that on its first coordinate; of a motor that turns with a joint what
-    it gives this."""
-    pressed = functools.cache(lambda: _pressed(history, now))
+    """Torque or force that couplings transmit at an instant [N m, N].
+
+    It is the multiplier of a rigid coupling, the force on the first coordinate of a flexible one,
+    and for
+    a motor that turns with a joint what it gives that joint.
+
+    Args:
+        history: states of the run.
+        now: instant at which they are read.
+        names: couplings, in the order of the result.
+    """
+    pressed = functools.cache(lambda: _pressing_at(history, now))
     solution = functools.cache(lambda: solved(history, now))
-    rows = functools.cache(lambda: _by_row(now, solution()[2]))
+    rows = functools.cache(lambda: _multiplier_by_closure(now, solution()[2]))
 
     def one(name):
         coupling = history.mechanism.couplings[name]
@@ -159,14 +167,14 @@ def sent_at(history: StateHistory, now: Instant, names: tuple[str, ...]) -> tupl
     return tuple(jnp.asarray(one(name), float) for name in names)
 
 
-def _pressed(history: StateHistory, now: Instant) -> dict[str, Any]:
+def _pressing_at(history: StateHistory, now: Instant) -> dict[str, Any]:
     """What couplings with play or stiffness do; of rigid flanks means over saving intervals."""
     if history.formulation.forces_are_means:
         return history.formulation.forces(now).pressing
     return pressing_of(now.model.system, now.motions, now.followed)
 
 
-def _by_row(now: Instant, solution: Any) -> dict[str, Any]:
+def _multiplier_by_closure(now: Instant, solution: Any) -> dict[str, Any]:
     """The multiplier of the first row of every closure, by what closes the loop."""
     system = now.model.system
     every = constraints.by_closure(system, now.motions, solution.multipliers)

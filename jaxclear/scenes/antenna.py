@@ -120,7 +120,13 @@ def friction_law(friction: Any) -> AbstractFrictionLaw | None:
 
 
 def bearing(kind: str, clearance: Any, rub: AbstractFrictionLaw | None) -> Any:
-    """A joint of the antenna: "spatial" (FSRJ) or "planar" (FPRJ) with clearance, or "ideal"."""
+    """A joint of the antenna.
+
+    Args:
+        kind: "spatial" (FSRJ) or "planar" (FPRJ) with clearance, or "ideal".
+        clearance: radial [m].
+        rub: friction law; None: frictionless.
+    """
     check_name("kind", kind, KINDS, " of antenna")
     if kind == "ideal":
         return Revolute()
@@ -138,7 +144,7 @@ def bearing(kind: str, clearance: Any, rub: AbstractFrictionLaw | None) -> Any:
     return clearances.JournalBearing(**shared, journal_length=JOURNAL_LENGTH, flange=flange)
 
 
-def _bodies(offset: float) -> dict[str, Body]:
+def _make_bodies(offset: float) -> dict[str, Body]:
     across = SATELLITE_MASS * (3 * SATELLITE_RADIUS**2 + SATELLITE_HEIGHT**2) / 12
     rod = TUBE_1 * LINK_1**2 / 12
     mass = TUBE_2 + DISH
@@ -201,7 +207,7 @@ def antenna(
     # Held by contacts alone, bodies start by place.
     guess = {} if kind == "ideal" else {"link1": (0.0, 0.0, top), "link2": (0.0, 0.0, top + LINK_1)}
     return Mechanism(
-        bodies=_bodies(offset),
+        bodies=_make_bodies(offset),
         connections=base | {name: Connection(joints[name], *ends) for name, ends in places.items()},
         loads={f"motor {name}": MotorTorque(*places[name], torque) for name, torque in torques},
         guess=guess,

@@ -123,7 +123,7 @@ class Size(NamedTuple):
 RATIO, DAMPED = 100.0, 0.1
 
 
-def _size(stiffness: float, rotor: float) -> Size:
+def _make_size(stiffness: float, rotor: float) -> Size:
     return Size(stiffness, 2 * DAMPED * RATIO * sqrt(stiffness * rotor), rotor)
 
 
@@ -132,7 +132,7 @@ def _size(stiffness: float, rotor: float) -> Size:
 # they slide by a tenth of their way.
 INCH, SLIDING = 0.0254, 0.1
 SIZE_OF = dict(zip(JOINTS, (20, 20, 17, 17, 17, 14, 14), strict=True))
-SIZES = {20: _size(25e3, 20e-6), 17: _size(14e3, 10e-6), 14: _size(6.1e3, 4e-6)}
+SIZES = {20: _make_size(25e3, 20e-6), 17: _make_size(14e3, 10e-6), 14: _make_size(6.1e3, 4e-6)}
 REDUCERS = {name: SIZES[size] for name, size in SIZE_OF.items()}
 ARCMIN = pi / 180 / 60
 PLAY = 1.0 * ARCMIN
@@ -185,7 +185,7 @@ def pick_and_place() -> JointPath:
     return JointPath(times, angles)
 
 
-def _quarter(turn: int) -> np.ndarray:
+def _quarter_turn(turn: int) -> np.ndarray:
     return np.array([[1, 0, 0], [0, 1 - abs(turn), -turn], [0, turn, 1 - abs(turn)]], float)
 
 
@@ -200,7 +200,7 @@ def _axes_and_masses(angles: np.ndarray) -> tuple[list[Any], list[Any]]:
     rotation, place, axes, masses = np.eye(3), np.zeros(3), [], []
     for k, (link, hinge) in enumerate(zip(LINKS, HINGES, strict=True)):
         place = place + rotation @ np.array(hinge.at)
-        rotation = rotation @ _quarter(hinge.turn) @ _about_z(angles[..., k])
+        rotation = rotation @ _quarter_turn(hinge.turn) @ _about_z(angles[..., k])
         axes.append((place, rotation[..., :, 2]))
         masses.append((link.mass, place + rotation @ np.array(link.com)))
     masses.append((TOOL_MASS, place + rotation @ np.array(TOOL_COM)))
@@ -218,7 +218,7 @@ def gravity_torques(angles: Any, tool_mass: float = TOOL_MASS) -> np.ndarray:
     return np.stack(torques, -1)
 
 
-def _inertias() -> np.ndarray:
+def _servo_inertias() -> np.ndarray:
     """What each servo turns where the arm is lifted, bodies as points [kg m2]."""
     axes, masses = _axes_and_masses(np.array(LIFTED))
     rotors = [RATIO**2 * REDUCERS[name].rotor for name in JOINTS]
@@ -237,7 +237,7 @@ def servos(path: JointPath) -> dict[str, Servo]:
     feedforward_torques = gravity_torques(path.angles) + FRICTION * np.tanh(speeds / CREEP)
     feedforward_torques += speeds * np.array([hinge.damping for hinge in HINGES])
     rate, loads = 2 * pi * BANDWIDTH, {}
-    for k, (name, inertia) in enumerate(zip(JOINTS, _inertias(), strict=True)):
+    for k, (name, inertia) in enumerate(zip(JOINTS, _servo_inertias(), strict=True)):
         loads[f"{name} servo"] = Servo(
             name,
             TimeTable(path.times, path.angles[:, k]),
@@ -250,8 +250,13 @@ def servos(path: JointPath) -> dict[str, Servo]:
 
 
 def reducer(name: str, play: Any = None, wear: Any = None) -> Gear:
-    """The reducer of a joint with its motor, elastic and with a `play` [rad], from flank to flank,
-    whose flanks lose by a law of `wear`, or rigid and without (None)."""
+    """The reducer of a joint with its motor: rigid, or elastic with play.
+
+    Args:
+        name: of the joint.
+        play: from flank to flank [rad]; None: rigid and without play.
+        wear: wear law of the flanks; None: no wear.
+    """
     size = REDUCERS[name]
     motor = Motor(size.rotor)
     if play is None:
@@ -262,13 +267,13 @@ def reducer(name: str, play: Any = None, wear: Any = None) -> Gear:
     return Gear(motor, name, RATIO, play=flanks, stiffness=size.stiffness, damping=size.damping)
 
 
-def _bodies() -> dict[str, Body]:
+def _make_bodies() -> dict[str, Body]:
     cube = TOOL_MASS * TOOL_EDGE**2 / 6
     links = {f"link{k}": Body(one.mass, one.inertia, one.com) for k, one in enumerate(LINKS, 1)}
     return links | {"tool": Body(TOOL_MASS, (cube, cube, cube), TOOL_COM)}
 
 
-def _connections(drives: Sequence[AbstractDrive | None]) -> dict[str, Connection]:
+def _make_connections(drives: Sequence[AbstractDrive | None]) -> dict[str, Connection]:
     before, connections = "ground", {}
     for k, (name, hinge, drive) in enumerate(zip(JOINTS, HINGES, drives, strict=True), 1):
         quaternion = (sqrt(0.5), hinge.turn * sqrt(0.5), 0.0, 0.0) if hinge.turn else None
@@ -318,14 +323,14 @@ def arm(
     loads: dict[str, Any] = {"gravity": Gravity((0.0, 0.0, -GRAVITY))}
     if driven:
         drives = [Position(TimeTable(path.times, angles)) for angles in path.angles.T]
-        return Mechanism(_bodies(), _connections(drives), loads)
+        return Mechanism(_make_bodies(), _make_connections(drives), loads)
     for name, hinge in zip(JOINTS, HINGES, strict=True):
         loads[f"{name} damping"] = JointSpring(name, damping=hinge.damping)
         loads[f"{name} friction"] = JointFriction(name, FRICTION, CREEP)
     plays = dict(zip(JOINTS, np.broadcast_to(np.asarray(play, float), 7), strict=True))
     return Mechanism(
-        _bodies(),
-        _connections((None,) * 7),
+        _make_bodies(),
+        _make_connections((None,) * 7),
         loads | servos(path),
         couplings={
             name: reducer(name, plays[name], wear) if name in slack else reducer(name)

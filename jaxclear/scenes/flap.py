@@ -76,24 +76,24 @@ def bearing(clearance: Any) -> PlanarJournalBearing:
     )
 
 
-def _bar(mass_per_length: float, length: float) -> Body:
+def _make_bar(mass_per_length: float, length: float) -> Body:
     """A bar from its marker's origin along x."""
     mass = mass_per_length * length
     return Body(mass, mass * length**2 / 12, (0.5 * length, 0.0))
 
 
-def _lever() -> Body:
+def _make_lever() -> Body:
     """An arm that stands on its pivot."""
     mass = ALLOY_BAR * ARM
     return Body(mass, mass * ARM**2 / 12, (0.0, 0.5 * ARM))
 
 
-def _bodies() -> dict[str, Body]:
+def _make_bodies() -> dict[str, Body]:
     return {
         "actuator": Body(1.0, 1e-3),
-        "rod 1": _bar(STEEL_BAR, FIRST_ROD),
-        "lever 1": _lever(),
-        "rod 2": _bar(ALLOY_BAR, SECOND_ROD),
+        "rod 1": _make_bar(STEEL_BAR, FIRST_ROD),
+        "lever 1": _make_lever(),
+        "rod 2": _make_bar(ALLOY_BAR, SECOND_ROD),
         "shaft": Body(ALLOY_BAR * ARM, SHAFT_INERTIA),
     }
 
@@ -129,7 +129,7 @@ def flap(
     joints = {name: bearing(clearance) if name in slack else Revolute() for name in JOINTS}
     height, second = (lever_ratio - 1) * ARM, FIRST_ROD + SECOND_ROD
     return Mechanism(
-        bodies=_bodies(),
+        bodies=_make_bodies(),
         connections={
             "P": Connection(
                 Prismatic(drive=drive), Marker("ground", axis="x"), Marker("actuator", axis="x")

@@ -62,7 +62,15 @@ def bearing(
     wear: bool = True,
     cells: tuple[int, int] | None = None,
 ) -> Any:
-    """The joint between coupler and follower: "spatial" or "planar" clearance, or "ideal"."""
+    """The joint between coupler and follower.
+
+    Args:
+        kind: "spatial" or "planar" clearance, or "ideal".
+        clearance: radial [m].
+        friction: whether it rubs.
+        wear: whether the bearing wears.
+        cells: of the wear map, around and along; None: by kind.
+    """
     if kind == "ideal":
         return Revolute()
     contact = LankaraniNikravesh(stiffness=HertzStiffness(steel(), steel()), restitution=0.9)
@@ -96,7 +104,7 @@ def bearing(
     )
 
 
-def _link(mass: float, length: float, offset: float | None = None) -> Body:
+def _make_link(mass: float, length: float, offset: float | None = None) -> Body:
     swing = mass * length**2 / 12
     if offset is None:
         return Body(mass, swing, (0.5 * length, 0.0))
@@ -143,9 +151,9 @@ def four_bar(
     tip = (FOLLOWER, 0.0, -follower_offset) if spatial else (FOLLOWER, 0.0)
     return Mechanism(
         bodies={
-            "crank": _link(0.46, CRANK),
-            "coupler": _link(1.44, COUPLER),
-            "follower": _link(1.63, FOLLOWER, follower_offset if spatial else None),
+            "crank": _make_link(0.46, CRANK),
+            "coupler": _make_link(1.44, COUPLER),
+            "follower": _make_link(1.63, FOLLOWER, follower_offset if spatial else None),
         },
         connections={
             "O": Connection(Revolute(drive=ConstantSpeed(crank_speed)), "ground", "crank"),

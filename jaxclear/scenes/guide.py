@@ -83,9 +83,13 @@ def friction_law(friction: Any) -> AbstractFrictionLaw | None:
 def slider_joint(
     kind: str, clearance: Any, friction: AbstractFrictionLaw | None, middle: Any
 ) -> Any:
-    """The joint of slider and guide: "guide" with a gap of `clearance` [m] on each side, "wearing"
-    as this with both parts wearing, or "ideal"; `middle` of the guide [m] along it from where the
-    slider starts.
+    """The joint of slider and guide.
+
+    Args:
+        kind: "guide" with a gap, "wearing" with a gap and both parts wearing, or "ideal".
+        clearance: gap on each side [m].
+        friction: law of the contacts; None: frictionless.
+        middle: of the guide, along it from where the slider starts [m].
     """
     check_name("kind", kind, KINDS, " of guide")
     if kind == "ideal":
@@ -105,7 +109,7 @@ def slider_joint(
     )
 
 
-def _bodies() -> dict[str, Body]:
+def _make_bodies() -> dict[str, Body]:
     half = 0.5 * CRANK
     return {
         "crank": Body(CRANK_MASS, CRANK_INERTIA - CRANK_MASS * half**2, (half, 0.0)),
@@ -120,7 +124,7 @@ def _from_pivot_to_crank(crank_angle: Any) -> tuple[Any, Any]:
     return jnp.hypot(along, across), jnp.arctan2(across, along)
 
 
-def _loads(gravity: Any, torque: Any) -> dict[str, AbstractLoad]:
+def _make_loads(gravity: Any, torque: Any) -> dict[str, AbstractLoad]:
     """Weights under a `gravity` [m/s2], and the crank's `torque` [N m]; None for none."""
     loads: dict[str, AbstractLoad] = {}
     if gravity is not None:
@@ -179,14 +183,14 @@ def guide(
             "to move it."
         )
     return Mechanism(
-        bodies=_bodies(),
+        bodies=_make_bodies(),
         connections={
             "O": Connection(Revolute(drive=drive), "ground", "crank"),
             "C": Connection(Revolute(), "ground", "guide", at=(-GROUND_DISTANCE, 0.0)),
             "A": Connection(Revolute(), "crank", "slider", at=(CRANK, 0.0)),
             "P": Connection(joint, Marker("guide", (reach, 0.0), "x"), Marker("slider", axis="x")),
         },
-        loads=_loads(gravity, torque),
+        loads=_make_loads(gravity, torque),
         start={} if drive else {"O": crank_angle},
         speeds={} if drive else {"O": crank_speed},
         guess={"C": tilt, "A": tilt - crank_angle},

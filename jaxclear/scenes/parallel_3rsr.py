@@ -67,7 +67,15 @@ def socket(
     cells: tuple = (12, 12),
     worn_radius: bool = False,
 ) -> BallSocket:
-    """A ball joint of the paper with a radial clearance [m]."""
+    """A ball joint of the paper with clearance.
+
+    Args:
+        clearance: radial [m].
+        friction: whether it rubs.
+        wear: whether the socket wears.
+        cells: of the wear map, in azimuth and elevation.
+        worn_radius: whether contact laws use the worn radius.
+    """
     steel = Material(210e9, 0.3)
     rub = Ambrosio(mu_kinetic=MU, inner_speed=INNER_SPEED, outer_speed=OUTER_SPEED)
     law = Archard(wear_coefficient=WEAR_COEFFICIENT, hardness=HARDNESS)
@@ -86,7 +94,7 @@ def usual_drive(period: Any) -> Harmonic:
     return Harmonic(half, 1 / period, -0.5 * jnp.pi, middle)
 
 
-def _bodies() -> dict[str, Body]:
+def _make_bodies() -> dict[str, Body]:
     across = ROD_MASS * (ROD**2 / 12 + ROD_RADIUS**2 / 4)
     rod = Body(ROD_MASS, (0.5 * ROD_MASS * ROD_RADIUS**2, across, across), (0.5 * ROD, 0.0, 0.0))
     disk = 0.25 * PLATFORM_MASS * CIRCLE**2
@@ -173,5 +181,5 @@ def parallel_3rsr(
     else:
         guess[first] = (0.0, 0.0, -2 * LOWEST)
     return Mechanism(
-        _bodies(), connections, {"gravity": Gravity((0.0, 0.0, -GRAVITY))}, guess=guess
+        _make_bodies(), connections, {"gravity": Gravity((0.0, 0.0, -GRAVITY))}, guess=guess
     )

@@ -11,8 +11,17 @@ def slack_joints(
     kinds: Mapping[str, tuple[str, ...]],
     joints: Sequence[str],
 ) -> Sequence[str]:
-    """The joints that have clearance in a scene of this `kind`: one of the words of `kinds`, or
-    names of its `joints`. Raises `ValueError` with a sentence."""
+    """The joints of a scene that have clearance.
+
+    Args:
+        scene: name of the scene in messages.
+        kind: one of the words of `kinds`, or names of joints.
+        kinds: joints by word.
+        joints: names that exist.
+
+    Raises:
+        ValueError: the word or a name is unknown.
+    """
     if isinstance(kind, str):
         check_name("kind", kind, kinds, f" of {scene} (beside a list of joints)")
     slack = kinds[kind] if isinstance(kind, str) else kind

@@ -42,7 +42,14 @@ def bearing(
     friction: AbstractFrictionLaw | bool | None = True,
     wear: Wearing | bool | None = False,
 ) -> PlanarJournalBearing:
-    """The joint between rod and slider; the arguments are those of `slider_crank`."""
+    """The joint between rod and slider.
+
+    Args:
+        clearance: radial [m].
+        contact: law; None: Lankarani and Nikravesh's for steel.
+        friction: law; True: Ambrosio's; None or False: frictionless.
+        wear: of the bearing; True: Archard's law; None or False: no wear.
+    """
     if contact is None:
         steel = Material(young_modulus=207e9, poisson_ratio=0.3)
         contact = LankaraniNikravesh(stiffness=HertzStiffness(steel, steel), restitution=0.9)

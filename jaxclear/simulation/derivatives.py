@@ -61,34 +61,43 @@ def backwards(integrator: AbstractIntegrator) -> Callable:
 
 def refusal(mechanism: Mechanism, integrator: AbstractIntegrator, discrete: bool = False) -> str:
     """Why derivatives through runs of a mechanism are not those of its motion; "" where they are.
-    `mechanism`: as its formulation sees it; `discrete`: derivatives of the discrete run.
+
+    Args:
+        mechanism: as its formulation models it.
+        integrator: of the run.
+        discrete: whether derivatives of the discrete run are wanted, instants of touch fixed.
     """
     name = public_name(type(integrator))
     reason = "a derivative through the steps of"
     joints = mechanism.topology.clearances
     unknown = integrator.beyond_touches(mechanism) if joints else ""
     if joints and (unknown or discrete):
-        some = _named("joint", joints)
+        some = _list_names("joint", joints)
         unknown = unknown or "how the instants of touch move"
         return f"contacts in {some} open and close, and {reason} {name} does not know {unknown}"
     plays = tuple(each for each, one in mechanism.couplings.items() if one.play is not None)
     unknown = integrator.beyond_flanks(mechanism) if plays else ""
     if not plays or not (unknown or discrete):
         return ""
-    some = _named("coupling", plays)
+    some = _list_names("coupling", plays)
     unknown = unknown or "how the instants move at which flanks meet"
     return f"flanks of {some} meet and part, and {reason} {name} does not know {unknown}"
 
 
-def _named(kind: str, names: tuple[str, ...]) -> str:
+def _list_names(kind: str, names: tuple[str, ...]) -> str:
     named = " and ".join(f'"{name}"' for name in names[:2])
     return f"{kind} {named}" if len(names) == 1 else f"{kind}s {named}{' …' * (len(names) > 2)}"
 
 
 def guarded(run: Trajectory, integrator: AbstractIntegrator, discrete: bool = False) -> Trajectory:
-    """The run itself; differentiating it raises `ValueError` with a sentence where its derivative
-    is not that of the motion. `discrete`: derivatives of the discrete run are wanted, and pass
-    where the integrator has them (`pathwise`).
+    """The run; its derivative raises `ValueError` where it is not that of the motion.
+
+    Args:
+        run: whose computed numbers are guarded where they are traced.
+        integrator: of the run.
+            discrete: whether derivatives of the discrete run are wanted, which pass where the
+            integrator has
+            them (`pathwise`).
     """
     why = refusal(run.mechanism, integrator) if is_traced(COMPUTED(run)) else ""
     if not why or (discrete and integrator.pathwise):
@@ -107,17 +116,17 @@ def guarded(run: Trajectory, integrator: AbstractIntegrator, discrete: bool = Fa
         )
     sentence = f"the derivative of this run is not to be trusted: {why}; {passages}."
     numbers, rest = eqx.partition(COMPUTED(run), eqx.is_inexact_array)
-    result = eqx.combine(_undifferentiated(sentence, numbers), rest)
+    result = eqx.combine(_refuse_derivative(sentence, numbers), rest)
     return eqx.tree_at(COMPUTED, run, result, is_leaf=lambda part: part is None)
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
-def _undifferentiated(sentence: str, numbers: Any) -> Any:
+def _refuse_derivative(sentence: str, numbers: Any) -> Any:
     """The numbers as they are."""
     return numbers
 
 
-@_undifferentiated.defjvp
+@_refuse_derivative.defjvp
 def _refuse(sentence, primals, tangents):
     raise ValueError(sentence)
 
@@ -127,18 +136,18 @@ def until_the_end(run: Trajectory) -> Trajectory:
     if not is_traced(run.states):
         return run
     reached = (run.time <= run.ended) | (run.outcome == Outcome.REACHED)
-    states = _where_reached(run.states, constant(reached))
+    states = _guard_states(run.states, constant(reached))
     return eqx.tree_at(lambda run: run.history.states, run, states)
 
 
 @jax.custom_jvp
-def _where_reached(states: Array, reached: Array) -> Array:
+def _guard_states(states: Array, reached: Array) -> Array:
     """The states as they are."""
     return states
 
 
-@_where_reached.defjvp
-def _not_beyond(primals, tangents):
+@_guard_states.defjvp
+def _guard_jvp(primals, tangents):
     reached, nan = primals[1][:, None], Unknown.NOT_REACHED.number
     forwards = lambda _, tangent: jnp.where(reached, tangent, nan)
     # What is not asked for in reverse mode stays 0.
@@ -167,9 +176,17 @@ def is_compared(mechanism: Mechanism, integrator: AbstractIntegrator) -> bool:
 
 
 def in_other_steps(integrator: Any, share: Any, times: Any) -> Any:
-    """The integrator in steps that share as long (None: as they are). Those that a tolerance
-    decides are shorter than intervals between saving `times` [s] too: at rest no tolerance makes
-    them so, and they are too long for a derivative."""
+    """The integrator with steps of another length.
+
+    Steps that a tolerance decides are also bounded by the saving interval: at rest no tolerance
+    shortens
+    them, and they are too long for a derivative.
+
+    Args:
+        integrator: of the run.
+        share: ratio of the new steps to the usual ones [1]; None: unchanged.
+        times: saving times of the run [s].
+    """
     if share is None:
         return integrator
     finer = integrator.with_finer_steps(share)
@@ -189,13 +206,20 @@ def order_of(mechanism: Mechanism, integrator: AbstractIntegrator) -> int:
 def compared(
     function: Callable, finer: Callable, judged: Callable, steps: Callable, order: int
 ) -> Callable:
-    """As `function(*arguments)`, with derivatives `judged(found, ways, ratios, least)` from those
-    of `function(*finer(share, *arguments))` in steps that are this share of the usual ones.
+    """As `function(*arguments)`, with derivatives that are judged by those in other step sizes.
 
-    `judged`: of what was found, its derivatives, of the run itself in front and behind it those in
-    other steps, how large errors of this `order` are in these beside its own, and of which share of
-    what was found the smallest derivative is that counts; `steps(*arguments)`: (a step's length [s]
-    or None, the times [s] at which one ends)."""
+    Args:
+        function: whose results and derivatives are wanted.
+            finer: `finer(share, *arguments)`: arguments for steps that are this share of the usual
+            ones.
+            judged: `judged(result, tangents, ratios, least)`: the derivatives to return; of
+            `tangents` the
+                    nominal run's come first, `ratios` are errors at the other step sizes over the
+            nominal one's,
+            `least` is the smallest derivative that counts, as a share of the result.
+        steps: `steps(*arguments)`: step size [s] or None, and times [s] at which a step ends.
+        order: of the method, by which `ratios` are computed.
+    """
 
     def evaluate(*arguments: Any) -> Any:
         arrays, rest = eqx.partition(arguments, eqx.is_array)
@@ -257,8 +281,14 @@ def _least(numbers: Any, tangents: Any) -> Scalar:
 
 
 def refuse_steps(tangents: Array, ratios: Array, scale: Array, smallest: Any) -> Array:
-    """Derivatives of the run itself, the first of `tangents`, nan where those in other steps tell
-    that they are off by too large a share of this `scale`, or of the `smallest` that counts."""
+    """Derivatives of the nominal run; nan where other step sizes show that steps decide them.
+
+    Args:
+        tangents: derivatives, the nominal run's first, then those at other step sizes.
+        ratios: errors at the other step sizes over the nominal one's.
+        scale: size beside which the error of a derivative is judged.
+        smallest: least such size.
+    """
     nominal, others = tangents[0], tangents[1:]
     ratios = jnp.expand_dims(ratios, tuple(range(1, others.ndim)))
     off = jnp.max(abs(others - nominal) / abs(ratios - 1), axis=0)
@@ -269,10 +299,18 @@ def refuse_steps(tangents: Array, ratios: Array, scale: Array, smallest: Any) ->
 
 
 def refuse_run(run: Trajectory, tangents: Trajectory, ratios: Array, least: Scalar) -> Trajectory:
-    """Derivatives of a run that was found, nan where steps decide them: of its states at the end
-    beside their own size, at an instant before beside the largest that the derivative of this
-    number has been, as on its way it may pass through nothing; of anything else beside the largest
-    of its kind."""
+    """Derivatives of a run, nan where steps decide them.
+
+    Those of states at the end are judged beside their own size, at an earlier instant beside the
+    largest
+    that the derivative of this number has been, anything else beside the largest of its kind.
+
+    Args:
+        run: the nominal run.
+        tangents: its derivatives, the nominal ones first, then those at other step sizes.
+        ratios: errors at the other step sizes over the nominal one's.
+        least: smallest derivative that counts, as a share of the number's size [1].
+    """
     largest = lambda each, axis=None: jnp.max(abs(each), axis=axis, initial=0.0)
 
     def one(each, number):

@@ -45,8 +45,16 @@ def state_of(initial: State | None) -> State:
 
 
 def beginning(mechanism: Mechanism, formulation: AbstractFormulation, state: State) -> Beginning:
-    """Where a run of a mechanism with numbers begins. Raises `ValueError` with a sentence for what
-    cannot be."""
+    """Where a run of a mechanism with numbers begins.
+
+    Args:
+        mechanism: as its formulation models it.
+        formulation: whose memories a past state may fill.
+        state: worn surfaces, and the motion of an earlier run, if any.
+
+    Raises:
+        ValueError: the start is refused, or the state does not belong to the mechanism.
+    """
     past = past_of(mechanism, formulation, state)
     if state.motion is None:
         start = ready(mechanism, state.concentric, past.worn)
@@ -57,8 +65,18 @@ def beginning(mechanism: Mechanism, formulation: AbstractFormulation, state: Sta
 
 
 def past_of(mechanism: Mechanism, formulation: AbstractFormulation, start: State) -> Past:
-    """What is taken over from a state; what is remembered where the laws remember the same.
-    Raises `ValueError` with a sentence for what does not belong to this mechanism."""
+    """Worn surfaces and memories that a run takes over from a state.
+
+    Memories of laws are taken over only where the laws remember the same.
+
+    Args:
+        mechanism: of the run.
+        formulation: of the run, which decides what is remembered.
+        start: state in which the run begins.
+
+    Raises:
+        ValueError: the state is that of another mechanism, or not finite.
+    """
     surfaces, saved = initial_depths(mechanism, start.worn), start.motion
     if saved is None:
         return Past(surfaces)

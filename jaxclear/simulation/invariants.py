@@ -103,10 +103,10 @@ class Looks(NamedTuple):
         impulses = range(self.model.layout.impulse_start, self.model.layout.energy_start)
 
         def look_at(row: Any, begin: Any, end: Any) -> dict[str, Any]:
-            before, after = (_numbers_of(states, k, impulses) for k in (begin, end))
+            before, after = (_entries_of_row(states, k, impulses) for k in (begin, end))
             length = times[end] - times[begin]
             means = [(late - early) / length for early, late in zip(before, after, strict=True)]
-            time, entries = times[row], _numbers_of(states, row)
+            time, entries = times[row], _entries_of_row(states, row)
             read = jax.tree.map(lambda depths: depths[row], worn)
             model, system = self.model, self.model.system
             q, v = state.unpack_motion(system, entries)
@@ -118,7 +118,7 @@ class Looks(NamedTuple):
         return through_rows(look_at, rows, starts, ends)
 
 
-def _numbers_of(rows: Array, row: Any, columns: Any = None) -> list[Array]:
+def _entries_of_row(rows: Array, row: Any, columns: Any = None) -> list[Array]:
     """The numbers of a row of many, one by one: so a kernel reads any number of them by index."""
     columns = range(rows.shape[1]) if columns is None else columns
     if len(columns) >= MANY:
@@ -136,16 +136,21 @@ def look(history: StateHistory, model: Model) -> Looks:
 
 
 def judged(trajectory: Trajectory, model: Model, initial: Worn) -> Trajectory:
-    """The run with its checks; `initial`: worn surfaces at its start. It ends where a look calls
-    for it."""
+    """The run with its checks; it ends early where one of them calls for it.
+
+    Args:
+        trajectory: whose saved states are looked at.
+        model: of the run.
+        initial: depth maps [m] at its start.
+    """
     history = trajectory.history
     looks, ends = look(history, model), jnp.asarray(history.time)[1:]
-    figures, of_run, verdict = _of_saved_states(looks)
+    figures, of_run, verdict = _figures_of_looks(looks)
     of_run |= wear_by_cells(model, initial, trajectory.worn)
     if trajectory.extremes is not None and trajectory.extremes.contacts:
         depths = trajectory.extremes.indentation[: model.layout.joint_contacts]
         of_run[Check.INDENTATION] = depths / contact_radii(model.system) if depths.size else depths
-    checks = _together(model, history.formulation, of_run, figures, ends[looks.intervals])
+    checks = _join_figures(model, history.formulation, of_run, figures, ends[looks.intervals])
     if verdict is None:
         return dataclasses.replace(trajectory, invariants=checks)
     bad = (verdict != Outcome.REACHED) & (ends[looks.intervals] <= trajectory.ended)
@@ -163,7 +168,7 @@ def judged(trajectory: Trajectory, model: Model, initial: Worn) -> Trajectory:
     )
 
 
-def _together(
+def _join_figures(
     model: Model,
     formulation: AbstractFormulation,
     of_run: Figures,
@@ -172,7 +177,7 @@ def _together(
 ) -> Checks:
     """All figures, those of looks as the worst that was met and when; what is not a number counts
     as infinite. A short run would pay for every array that it hands over, so they are two rows."""
-    places = _places(model, formulation)
+    places = _place_names(model, formulation)
     of_run = {check: each for check, each in of_run.items() if places[check.of]}
     named = [(check, places[check.of]) for check in (*of_run, *of_looks)]
     if not named:
@@ -189,7 +194,7 @@ def _together(
     return Checks(values, jnp.concatenate(when), tuple(named))
 
 
-def _ending(figures: Figures, outcome: Any = None) -> Any:
+def _outcome(figures: Figures, outcome: Any = None) -> Any:
     """`Outcome` that figures at an instant call for, `REACHED` where none is certainly wrong, or
     else this one; None where there is none."""
     for check, each in figures.items():
@@ -226,7 +231,7 @@ def contact_labels(mechanism: Mechanism, model: Model) -> tuple[tuple[str, ...],
     return contact_names(model), (False,) * model.layout.joint_contacts + flanks
 
 
-def _places(model: Model, formulation: AbstractFormulation) -> dict[str, tuple[str, ...]]:
+def _place_names(model: Model, formulation: AbstractFormulation) -> dict[str, tuple[str, ...]]:
     """Names of the places of figures."""
     return {
         LOOPS: model.system.topology.loops,
@@ -242,12 +247,12 @@ def _places(model: Model, formulation: AbstractFormulation) -> dict[str, tuple[s
     }
 
 
-def _of_saved_states(looks: Looks) -> tuple[Figures, Figures, Array | None]:
+def _figures_of_looks(looks: Looks) -> tuple[Figures, Figures, Array | None]:
     """What a run's looks at its saved states tell: figures by look, figures of the run as a whole,
     the `Outcome` that each look calls for (None: none ever ends a run)."""
     model, system = looks.model, looks.model.system
     means = looks.history.formulation.forces_are_means
-    looked = looks.of(_judging(looks))
+    looked = looks.of(_make_look(looks))
     energies = looked.get("energies")
     # Without the start.
     at_looks, verdict = jax.tree.map(lambda each: each[1:], (looked["told"], looked.get("verdict")))
@@ -256,7 +261,7 @@ def _of_saved_states(looks: Looks) -> tuple[Figures, Figures, Array | None]:
         small = _small_energy(system, looks.history.time[-1] - looks.history.time[0])
         gains = _gains(small, energies, means)[1:, None]
         figures[Check.ENERGY_GAIN] = gains
-        verdict = _ending({Check.ENERGY_GAIN: gains}, verdict)
+        verdict = _outcome({Check.ENERGY_GAIN: gains}, verdict)
     times = looks.history.time[looks.rows]
     of_run = {check: share_along(each) for check, each in looked["along"].items()}
     if "rubbed" in looked:
@@ -271,7 +276,7 @@ def _of_saved_states(looks: Looks) -> tuple[Figures, Figures, Array | None]:
     return figures, of_run, verdict
 
 
-def _judging(looks: Looks) -> Callable[[Instant], dict[str, Any]]:
+def _make_look(looks: Looks) -> Callable[[Instant], dict[str, Any]]:
     """What is worked out at every look."""
     system, formulation = looks.model.system, looks.history.formulation
     driven, mechanism = looks.history.mechanism.driven, looks.history.mechanism
@@ -281,8 +286,8 @@ def _judging(looks: Looks) -> Callable[[Instant], dict[str, Any]]:
 
     def judged(now: Instant) -> dict[str, Any]:
         by_check: dict[Check, Array] = {}
-        by_check |= _drifts(now, narrowest) if system.closures else {}
-        verdict = _ending({check: by_check[check] for check in OF_LOOKS if check in by_check})
+        by_check |= _loop_drifts(now, narrowest) if system.closures else {}
+        verdict = _outcome({check: by_check[check] for check in OF_LOOKS if check in by_check})
         values = {"told": by_check} | ({} if verdict is None else {"verdict": verdict})
         # Worked out once, for all that ask.
         report = functools.cache(lambda name: formulation.contact(now, name))
@@ -302,12 +307,12 @@ def _judging(looks: Looks) -> Callable[[Instant], dict[str, Any]]:
             values["gaps"] = placed({name: report(name) for name in gaps}, now, mechanism)
         sharing = shared(now, report, mechanism)
         values |= {} if sharing is None else {"shared": sharing}
-        return values | ({} if driven else _energies(now, formulation))
+        return values | ({} if driven else _energies_at(now, formulation))
 
     return judged
 
 
-def _energies(now: Instant, formulation: AbstractFormulation) -> dict[str, Float[Array, "3"]]:
+def _energies_at(now: Instant, formulation: AbstractFormulation) -> dict[str, Float[Array, "3"]]:
     """Kinetic energy, potential energy, at most stored in contacts [J]; nothing where a load gives
     energy from outside."""
     forces = formulation.forces(now)
@@ -347,7 +352,7 @@ def _smallest_clearance(model: Model) -> Any:
     return jnp.min(jnp.concatenate(gaps)) if gaps else None
 
 
-def _drifts(now: Instant, clearance: Any) -> Figures:
+def _loop_drifts(now: Instant, clearance: Any) -> Figures:
     """How far each loop is open, beside its shortest part and beside the smallest clearance."""
     opened, system = openings(now), now.model.system
     if clearance is None:
@@ -370,11 +375,16 @@ def openings(now: Instant) -> Float[Array, " loops"]:
 
 
 def wear_by_cells(model: Model, initial: Worn, ended: Worn) -> Figures:
-    """By how much the deepest place of each contact's surface is less deep over three cells to a
-    side, beside its depth; 0 of a surface that has lost nothing since the run began. A scar hardly
-    wider than a cell hangs on their number: a mean over three to a side is nine times as far off as
-    that over one where a scar is smooth, and what it makes of the deepest place tells how wide that
-    is."""
+    """How narrow each worn scar is in cells, by contact (`narrowness`).
+
+    It is 0 for a surface that has lost nothing since the run began. Depths of a scar hardly wider
+    than a
+    cell depend on the number of cells.
+
+    Args:
+        model: of the run.
+        initial, ended: depth maps [m] at its start and end, by joint and surface.
+    """
     if not ended or not model.layout.wear:
         return {}
     initial, ended = jax.lax.stop_gradient((initial, ended))
@@ -392,7 +402,16 @@ def wear_by_cells(model: Model, initial: Worn, ended: Worn) -> Figures:
 def narrowness(
     wear_map: AbstractWearMap, depth: Float[Array, "around along"], least: Array | float = 0.0
 ) -> Array:
-    """By how much the deepest place is less deep over three cells to a side, beside its depth, or
-    beside the `least` [m] that counts."""
+    """Relative difference between the deepest cell and the deepest mean over 3 x 3 cells [1].
+
+    A mean over three cells is nine times as far off as that over one where a scar is smooth, so
+    this
+    tells how many cells a scar is wide.
+
+    Args:
+        wear_map: cells of the surface.
+        depth: worn depth of each cell [m].
+        least: smallest depth [m] beside which the difference counts.
+    """
     deepest = jnp.max(depth)
     return safe_divide(deepest - jnp.max(wear_map.over_three(depth)), jnp.maximum(deepest, least))

@@ -65,7 +65,7 @@ def check_finite(functions: Mapping[str, Any], times: np.ndarray) -> None:
     """Raises `ValueError` where what a load or drive gives at one of the `times` [s], or between
     two of them, is no finite number."""
     looked_at = np.linspace(times[0], times[-1], TOGETHER)
-    values = jax.device_get(_values(dict(functions), on_device(looked_at)))
+    values = jax.device_get(_rates_and_integrals(dict(functions), on_device(looked_at)))
     for name, value in values.items():
         bad = ~np.all([np.isfinite(row) for row in jax.tree.leaves(value)], axis=0)
         if np.any(bad):
@@ -91,7 +91,7 @@ def missed_shares(functions: Mapping[str, Any], edges: np.ndarray) -> dict[str, 
     times = edges[:-1, None] + steps[:, None] * np.arange(parts) / parts
     times = np.append(times.ravel(), edges[-1])
     shares = dict[str, list[float]]()
-    for name, (rates, exact) in _sampled(dict(functions), times).items():
+    for name, (rates, exact) in _sample_rates(dict(functions), times).items():
         exact = (
             [cumulative_simpson(x, x=times, initial=0) for x in rates] if exact is None else exact
         )
@@ -113,7 +113,7 @@ def _share(rate: np.ndarray, impulse: np.ndarray, steps: np.ndarray, parts: int)
 
 
 @compiled_quickly
-def _values(functions: dict[str, Any], times: jax.Array) -> dict[str, tuple]:
+def _rates_and_integrals(functions: dict[str, Any], times: jax.Array) -> dict[str, tuple]:
     """Of each function its rates, and their integrals where these are known, at these times."""
     return {name: jax.vmap(functools.partial(_at, f))(times) for name, f in functions.items()}
 
@@ -125,25 +125,30 @@ def _at(function: Any, time: Any) -> tuple[list, list | None]:
         speed = jnp.where(jnp.isfinite(position), speed, jnp.nan)
         return [jnp.asarray(acceleration, float)], [jnp.asarray(speed, float)]
     integral = function.integral(time) if isinstance(function, AbstractFunctionOfTime) else None
-    return _columns(function(time)), None if integral is None else _columns(integral)
+    return _flat_numbers(function(time)), None if integral is None else _flat_numbers(integral)
 
 
-def _columns(values: Any) -> list:
+def _flat_numbers(values: Any) -> list:
     return [x for leaf in jax.tree.leaves(values) for x in jnp.ravel(jnp.asarray(leaf, float))]
 
 
-def _sampled(functions: dict[str, Any], times: np.ndarray) -> dict[str, tuple]:
+def _sample_rates(functions: dict[str, Any], times: np.ndarray) -> dict[str, tuple]:
     """By name the rates of each function at these times, and their integrals where these are known
     (None: they are not), as lists of histories."""
     padded = np.append(times, np.full(-len(times) % TOGETHER, times[-1]))
     rows = jnp.asarray(padded.reshape(-1, TOGETHER))
-    values = [jax.device_get(_values(functions, row)) for row in rows]
+    values = [jax.device_get(_rates_and_integrals(functions, row)) for row in rows]
     return jax.tree.map(lambda *parts: np.concatenate(parts)[: len(times)], *values)
 
 
 def step_ends(times: np.ndarray, step: float | None, fixed: int | None = None) -> np.ndarray | None:
-    """Ends [s] of steps no longer than `step` [s] between saving times, or of the `fixed` number;
-    None where they are more than anybody looks at."""
+    """Ends of the steps of a run [s]; None where they are too many to look at.
+
+    Args:
+        times: saving times of the run [s].
+        step: longest step [s]; None: no bound.
+        fixed: number of steps between saving times; None: decided by `step`.
+    """
     intervals = np.diff(times)
     counts = np.maximum(np.ceil(intervals / (step or np.inf) * (1 - SLIVER)), fixed or 1)
     if np.sum(counts) * IN_A_STEP > MOST:
@@ -178,23 +183,30 @@ def judged_by(missed: dict[str, float], run: Trajectory) -> Trajectory:
 
 
 def load_steps(mechanism: Mechanism, integrator: AbstractIntegrator, times: Any) -> LoadSteps:
-    """How a run that is saved at these times [s], the first of which it begins at, sees what its
-    loads and drives do. Nothing is said of numbers that are being traced."""
-    return _looked_at(functions_of_time(mechanism), integrator, times)
+    """Whether the steps of a run resolve its functions of time.
+
+    Nothing is said of numbers that are being traced.
+
+    Args:
+        mechanism: with loads and drives that are functions of time.
+        integrator: that chooses the steps.
+        times: saving times [s]; the run begins at the first.
+    """
+    return _examine(functions_of_time(mechanism), integrator, times)
 
 
-def _looked_at(functions: dict[str, Any], integrator: AbstractIntegrator, times: Any) -> LoadSteps:
+def _examine(functions: dict[str, Any], integrator: AbstractIntegrator, times: Any) -> LoadSteps:
     functions = on_host(functions)
     if not functions or is_traced((functions, integrator, times)):
         return LoadSteps(integrator, {})
     step, fixed = concrete(integrator.requested_step()), integrator.steps_between_saves
     # What is known of them is looked at, also where something else is being traced.
     with jax.ensure_compile_time_eval():
-        breaks, missed = _look_at(Key(functions, np.asarray(times), step, fixed))
-    return LoadSteps(_ending_at(integrator, breaks), missed)
+        breaks, missed = _find_breaks(Key(functions, np.asarray(times), step, fixed))
+    return LoadSteps(_with_breaks(integrator, breaks), missed)
 
 
-def _ending_at(integrator: AbstractIntegrator, breaks: np.ndarray) -> AbstractIntegrator:
+def _with_breaks(integrator: AbstractIntegrator, breaks: np.ndarray) -> AbstractIntegrator:
     """The integrator with steps that end at these times [s] too; itself where there are none."""
     present: Any = [] if integrator.breaks is None else on_host(integrator.breaks)
     if not isinstance(integrator, Adaptive) or np.isin(breaks, present).all():
@@ -205,7 +217,7 @@ def _ending_at(integrator: AbstractIntegrator, breaks: np.ndarray) -> AbstractIn
 
 
 @functools.lru_cache(maxsize=64)
-def _look_at(question: Key) -> tuple[np.ndarray, dict[str, float]]:
+def _find_breaks(question: Key) -> tuple[np.ndarray, dict[str, float]]:
     """The times [s] at which steps that find their own length are to end, and by name the shares
     that others pass over."""
     everything, times, step, fixed = question.arguments
@@ -216,11 +228,11 @@ def _look_at(question: Key) -> tuple[np.ndarray, dict[str, float]]:
     if not functions or step is not None or fixed is not None:
         return np.zeros(0), missed
     looks = np.linspace(times[0], times[-1], LEAST + 1)
-    rates = [rate for column, _ in _sampled(functions, looks).values() for rate in column]
-    return np.concatenate([_changes(rate, looks) for rate in rates]), {}
+    rates = [rate for column, _ in _sample_rates(functions, looks).values() for rate in column]
+    return np.concatenate([_times_of_change(rate, looks) for rate in rates]), {}
 
 
-def _changes(rate: np.ndarray, looks: np.ndarray) -> np.ndarray:
+def _times_of_change(rate: np.ndarray, looks: np.ndarray) -> np.ndarray:
     """The looks [s] between which a function changes that coarser ones do not tell."""
     every = (len(looks) - 1) // COARSE
     off = np.abs(rate - np.interp(looks, looks[::every], rate[::every]))
@@ -267,4 +279,4 @@ def felt_along(run: Trajectory, integrator: AbstractIntegrator) -> LoadSteps:
         path = CubicHermiteSpline(np.asarray(times), read(run.coordinate), read(run.speed))
         pieces = jnp.asarray(path.c), jnp.asarray(path.derivative().c)
         functions[name] = _AlongRun(load, jnp.asarray(times), *pieces)
-    return _looked_at(functions, integrator, times)
+    return _examine(functions, integrator, times)

@@ -154,19 +154,29 @@ def run(
     past: Past = Past(),
     updates: Any = 1,
 ) -> Trajectory:
-    """The pure core of `simulate`: from consistent coordinates and speeds, and what is left of a
-    past, to a trajectory. `updates`: of worn surfaces so many times as many as usual, where steps
-    are not counted."""
+    """The pure core of `simulate`: from consistent coordinates and speeds to a trajectory.
+
+    Args:
+        mechanism: as its formulation models it.
+        coordinates: of the tree at the start, shape (coordinates,).
+        speeds: free speeds at the start, shape (speeds,).
+        times: saving times [s]; the run begins at the first.
+        integrator: with its formulation.
+        extras: what the run does beside the motion: energies, progress, events.
+        past: worn surfaces and memories of an earlier run.
+            updates: updates of worn surfaces as a multiple of the usual number, where steps are not
+            counted.
+    """
     formulation, integrator = integrator.formulation, with_few_enough_steps(integrator, times)
     inputs = mechanism, coordinates, speeds, times, integrator
     mechanism, turn, first = first_turn(*inputs, extras, past)
     model, worn, viewed = turn.model, first.worn, turn.model.seeing(first.read)
     spans = Span(times[:-1], times[1:], jnp.diff(times) / (times[-1] - times[0]))
     if _fits_one_kernel(integrator, extras, worn):
-        last, saved = _in_one_kernel(turn, first, spans, updates)
+        last, saved = _run_in_one_kernel(turn, first, spans, updates)
     else:
         counted = integrator.steps_between_saves
-        last, saved = _from_save_to_save(turn, first, spans, counted, updates)
+        last, saved = _run_by_saves(turn, first, spans, counted, updates)
     if _sweeps_outside_kernels(model, integrator, first.warm_start):
         last, saved = forwards_only(NOT_THROUGH_SWEEPS, (last, saved))
     states = integrator.check_derivatives(viewed, times, saved.states, last.state, last.warm_start)
@@ -180,7 +190,13 @@ def run(
 
 
 def largest_of(mechanism: Mechanism, model: Model, last: Carry) -> Extremes | None:
-    """The largest indentations and forces of a run that ends so."""
+    """Largest indentations and forces over a run; None where none were followed.
+
+    Args:
+        mechanism: names its contacts.
+        model: of the run.
+        last: what the loop carried at its end.
+    """
     if last.peaks is None and last.transmitted is None:
         return None
     sent = {"transmitted": last.transmitted, "couplings": transmitting(model.system)}
@@ -201,8 +217,15 @@ def first_turn(
     extras: Extras = Extras(),
     past: Past = Past(),
 ) -> "tuple[Mechanism, Turn, Carry]":
-    """(the mechanism as the steps take it, the turn of its run, and what that is handed first),
-    from consistent coordinates and speeds at the first of the times [s]; arguments as of `run`."""
+    """The mechanism as the steps take it, the turn of the loop, and what it carries first.
+
+    Args:
+        mechanism: as its formulation models it.
+        coordinates: of the tree at the start, shape (coordinates,).
+        speeds: free speeds at the start, shape (speeds,).
+        times: saving times [s]; the run begins at the first.
+        integrator, extras, past: as of `run`.
+    """
     formulation = integrator.formulation
     mechanism = stabilised_as_needed(mechanism, integrator.opens_loops)
     if loads_to_settle(mechanism) and not formulation.forces_are_means:
@@ -234,8 +257,16 @@ def first_turn(
 def sketched(
     mechanism: Mechanism, formulation: AbstractFormulation, times: Any, events: int
 ) -> Trajectory:
-    """A run of the form that `run` gives, in which nothing moves: for what is to be known of runs
-    before one is compiled."""
+    """A run of the form that `run` returns, in which nothing moves.
+
+    It tells shapes and names of runs before one is compiled.
+
+    Args:
+        mechanism: as its formulation models it.
+        formulation: of the run.
+        times: saving times [s].
+        events: number of events stored for each contact between two saving times.
+    """
     model, count = model_of(mechanism, formulation), len(times)
     worn, contacts = unworn(model.system), contact_names(model)
     read = readings(model.system, worn)
@@ -335,13 +366,13 @@ class Turn:
         """Peaks, and what couplings have transmitted, before the first turn; None where the
         integrator follows none."""
         number = jnp.zeros(())
-        ahead = self._ahead(Span(number, number, number), jnp.ones((), bool), None)
+        ahead = self._interval_ahead(Span(number, number, number), jnp.ones((), bool), None)
         inputs = self.arrays, first.read, ahead, first.state, first.warm_start
         shapes = jax.eval_shape(self.advance, *inputs)
         peaks = jax.tree.map(lambda each: jnp.full(each.shape, -jnp.inf), shapes.peaks)
         return peaks, jax.tree.map(jnp.zeros_like, shapes.transmitted)
 
-    def _ahead(self, span: Span, running: Array, peaks: Peaks | None) -> Interval:
+    def _interval_ahead(self, span: Span, running: Array, peaks: Peaks | None) -> Interval:
         weights, none = error_weights(self.model), jnp.full(self.model.layout.contacts, -jnp.inf)
         if not none.size:
             return Interval(span.start, span.stop, weights, running)
@@ -350,7 +381,13 @@ class Turn:
         return Interval(span.start, span.stop, weights, running, last)
 
     def worn_as(self, now: Carry, worn: Worn, read: Worn) -> Carry:
-        """What is handed on with surfaces as worn now."""
+        """What the loop carries, with new depth maps, and shafts moved along with their flanks.
+
+        Args:
+            now: what it carried before.
+            worn: depth maps [m] by joint and surface.
+            read: the same in the form in which gaps read them.
+        """
         model = self.model
         state = between_worn_flanks(model.system, model.layout, (now.read, read), now.state)
         return now._replace(state=state, worn=worn, read=read)
@@ -361,7 +398,7 @@ class Turn:
             jax.debug.callback(progress.advance, span.progress)
         model, layout = self.model, self.model.layout
         running = (now.outcome == Outcome.REACHED).astype(bool)
-        ahead = self._ahead(span, running, now.peaks)
+        ahead = self._interval_ahead(span, running, now.peaks)
         start = sampled(model, span.start, now.state)
         result = self.advance(self.arrays, now.read, ahead, start, now.warm_start)
         moving = result.state[: layout.memory_start]
@@ -391,7 +428,7 @@ class Turn:
         return after, losses(layout, now.state, state), result.events
 
 
-def _between_updates(
+def _advance_by_updates(
     motion: Callable,
     system: System,
     limits: UpdateLimits,
@@ -448,7 +485,7 @@ def _between_updates(
     return parts
 
 
-def _between_instants(turn: Turn, loop: Callable, part: Callable) -> Callable:
+def _advance_by_instants(turn: Turn, loop: Callable, part: Callable) -> Callable:
     """A part of a saving interval that is gone through from instant to instant of what is sampled,
     and of what steps are to end at, by a while `loop`; the part itself where there are none."""
     system, breaks = turn.model.system, turn.breaks
@@ -482,11 +519,11 @@ def through_interval(turn: Turn) -> Callable[[Carry, Span], Carry]:
         now, _, noted = turn.motion(now, span)
         return now, ((), noted)
 
-    interval = _between_instants(turn, while_loop, part)
+    interval = _advance_by_instants(turn, while_loop, part)
     return lambda now, span: interval(now, span)[0]
 
 
-def _in_one_kernel(turn: Turn, first: Carry, spans: Span, updates: Any) -> tuple[Carry, Saved]:
+def _run_in_one_kernel(turn: Turn, first: Carry, spans: Span, updates: Any) -> tuple[Carry, Saved]:
     """(what the last turn hands on, what is left at all saving times). Before a part at whose start
     they are due surfaces are worn by what was lost until then, and after the last."""
     model, count, step = turn.model, len(spans.start), turn.step
@@ -510,8 +547,8 @@ def _in_one_kernel(turn: Turn, first: Carry, spans: Span, updates: Any) -> tuple
     else:
         limits, spans = _update_limits(model.system, spans, step, updates)
         length = limits.longest
-        part = _between_updates(turn.motion, model.system, limits, step, settled, by_kernel)
-    part = _between_instants(turn, by_kernel, part)
+        part = _advance_by_updates(turn.motion, model.system, limits, step, settled, by_kernel)
+    part = _advance_by_instants(turn, by_kernel, part)
 
     def one(carry, span):
         carry, (_, noted) = part(carry, span)
@@ -526,11 +563,11 @@ def _in_one_kernel(turn: Turn, first: Carry, spans: Span, updates: Any) -> tuple
     return done[0], Saved(states, read, noted)
 
 
-def _from_save_to_save(
+def _run_by_saves(
     turn: Turn, first: Carry, spans: Span, counted: int | None, updates: Any
 ) -> tuple[Carry, Saved]:
-    """As `_in_one_kernel`, each turn by itself; XLA wears surfaces. Where steps are `counted` it
-    goes backwards through them, and surfaces wear behind each turn."""
+    """As `_run_in_one_kernel`, each turn by itself; XLA wears surfaces. Where steps are `counted`
+    it goes backwards through them, and surfaces wear behind each turn."""
     system, layout, step = turn.model.system, turn.model.layout, turn.step
     motion = turn.motion if counted is not None or not first.read else _as_a_kernel(turn.motion)
     by_path = bool(first.worn) and counted is None
@@ -543,7 +580,7 @@ def _from_save_to_save(
     if by_path:
         limits, spans = _update_limits(system, spans, step, updates)
         entry = first, pending_wear(system, layout, first.state).since, limits.longest
-        between = _between_updates(motion, system, limits, step, settled, jax.lax.while_loop)
+        between = _advance_by_updates(motion, system, limits, step, settled, jax.lax.while_loop)
 
     def part(carry, span):
         if by_path:
@@ -557,7 +594,7 @@ def _from_save_to_save(
         return (now,), (read, noted)
 
     if counted is None:
-        part = _between_instants(turn, jax.lax.while_loop, part)
+        part = _advance_by_instants(turn, jax.lax.while_loop, part)
 
     def one(carry, span):
         carry, (read, noted) = part(carry, span)

@@ -42,9 +42,17 @@ def in_gaps(model: Model) -> dict[str, Any]:
 def placed(
     reports: dict[str, ContactReport], now: Instant, mechanism: Mechanism
 ) -> Float[Array, "13 joints"]:
-    """Of joints that are told of at a look: the rotation of the bearing in the ground; as means
-    since the look before, where the inner part is in its gap, in the bearing's axes [m], and the
-    sum of the normal forces [N]."""
+    """Positions and forces in joints at a look, from which `gap_motion` is computed.
+
+    Rows of each joint: the bearing's rotation in the ground (9), and as means since the last look
+    the
+    inner part's offset in its gap, in the bearing's axes [m] (3), and the sum of normal forces [N].
+
+    Args:
+        reports: contact reports of these joints.
+        now: instant of the look.
+        mechanism: with the bearings' markers.
+    """
     columns = []
     for name, report in reports.items():
         marker = mechanism.connections[name].parent
@@ -74,9 +82,17 @@ def gap_motion(
     times: Float[Array, " looks"],
     heavy: Float[Array, " joints"],
 ) -> Float[Array, " joints"]:
-    """By joint the force that moves the lighter body along in the gap beside the forces there, from
-    where parts were `placed` at looks at these times [s]. Where a force turns round between two
-    looks, parts part, which `Trajectory.switchings` tells, and nothing is counted."""
+    """Inertia force of the journal's motion in its gap over the contact force, by joint [1].
+
+    Where a force turns round between two looks parts separate, which `Trajectory.switchings` tells,
+    and
+    nothing is counted.
+
+    Args:
+        looks: rows of `placed`, look after look.
+        times: of the looks [s].
+        heavy: mass of the lighter body at each joint [kg].
+    """
     if len(looks) < 4:
         return jnp.zeros(len(heavy))
     # Halfway between two looks, for which means stand.
@@ -96,10 +112,17 @@ def gap_motion(
 def shared(
     now: Instant, report: Callable[[str], ContactReport], mechanism: Mechanism
 ) -> Float[Array, "2 joints"] | None:
-    """Of each joint that always touches, at a look: the sum of the forces on its ends [N], and by
-    how much they are others where these rows carry what makes the squares of the forces on all ends
-    least, as equal contacts between rigid bodies would. None where there are no such rows.
-    `report`: what is told of a joint."""
+    """How unique the forces on the ends of joints that always touch are; None where they are.
+
+    Rows: the sum of the forces on the ends [N]; their change in the distribution whose sum of
+    squares is
+    least, as between equal contacts of rigid bodies.
+
+    Args:
+        now: instant of the look.
+        report: function from a joint's name to its contact report.
+        mechanism: whose redundant rows carry forces without motion.
+    """
     joints = touching(now.model.system)
     rows = unmoved(now, mechanism) if joints else []
     if not rows:
@@ -109,16 +132,16 @@ def shared(
     forces = [_on_ends(one, forces_of) for one, forces_of in zip(joints, acting, strict=True)]
     added = [
         [
-            _on_ends(one, _sum(forces_of, extra)) - force
+            _on_ends(one, _add_reactions(forces_of, extra)) - force
             for one, forces_of, extra, force in zip(joints, acting, row, forces, strict=True)
         ]
         for row in rows
     ]
-    share = _least_squares(forces, added)
+    share = _least_squares_shares(forces, added)
     columns = []
     for k, force in enumerate(forces):
         others = force + sum(x * row[k] for x, row in zip(share, added, strict=True))
-        sizes, changed = _sizes(force), _sizes(others)
+        sizes, changed = _sizes_of_forces(force), _sizes_of_forces(others)
         columns.append(jnp.stack([jnp.sum(sizes), jnp.sum(abs(changed - sizes))]))
     return jnp.stack(columns, axis=1)
 
@@ -137,15 +160,15 @@ def _on_ends(one: Any, reaction: Reaction) -> Float[Array, "ends 3"]:
     return jnp.stack([sp.stack(end.force) for end in one.joint.carrying_ends(*reaction, none)])
 
 
-def _sum(a: Reaction, b: Reaction) -> Reaction:
+def _add_reactions(a: Reaction, b: Reaction) -> Reaction:
     return Reaction(sp.plus(a.force, b.force), sp.plus(a.torque, b.torque))
 
 
-def _sizes(forces: Float[Array, "ends 3"]) -> Float[Array, " ends"]:
+def _sizes_of_forces(forces: Float[Array, "ends 3"]) -> Float[Array, " ends"]:
     return jnp.stack([sp.norm(tuple(force)) for force in forces])
 
 
-def _least_squares(forces: list[Array], added: list[list[Array]]) -> tuple:
+def _least_squares_shares(forces: list[Array], added: list[list[Array]]) -> tuple:
     """How much of each row [N, N m] makes the sum of squares of the forces least."""
     flat = [jnp.concatenate([part.ravel() for part in row]) for row in added]
     acting = jnp.concatenate([part.ravel() for part in forces])
@@ -172,7 +195,13 @@ def unheld(model: Model) -> tuple[str, ...]:
 
 
 def by_others(now: Instant, mechanism: Mechanism, names: tuple[str, ...]) -> list[bool]:
-    """Whether other joints may hold these along their axis: what they carry there is not unique."""
+    """Whether a joint's force along its axis is not unique, as other joints may carry it.
+
+    Args:
+        now: instant of the look.
+        mechanism: with redundant rows.
+        names: joints, in the order of the result.
+    """
     redundancy, joints = now.model.system.topology.redundancy, touching(now.model.system)
     open_ = set() if redundancy is None else {*redundancy.joints}
     for reactions in unmoved(now, mechanism):

@@ -17,9 +17,17 @@ Part = Callable[[float], AbstractContextManager[None]]
 
 @contextmanager
 def bar(visible: bool, label: str, total: float = 1.0) -> Iterator[Part]:
-    """Shows a bar from 0 to 100 % while the block runs; nested or hidden bars do nothing. `total`:
-    the work that is known of, beside that of one run. Gives what says, `with part(work):`, that
-    what runs within is so much of it."""
+    """Shows a progress bar while the block runs; nested or hidden bars do nothing.
+
+    Args:
+        visible: whether it is shown.
+        label: text in front of the bar.
+        total: known work, in units of one run.
+
+    Yields:
+            A function of an amount of work; in the block `with part(work):` a run advances by that
+        much.
+    """
     if not visible or _bars:
         yield lambda work: nullcontext()
         return
@@ -27,20 +35,20 @@ def bar(visible: bool, label: str, total: float = 1.0) -> Iterator[Part]:
     with tqdm(total=total, desc=label, bar_format=layout) as widget:
         _bars.append((widget, [1.0]))
         try:
-            yield _part
+            yield _advance_during
         finally:
             widget.update(widget.total - widget.n)
             _bars.pop()
 
 
 @contextmanager
-def _part(work: float) -> Iterator[None]:
+def _advance_during(work: float) -> Iterator[None]:
     widget, of_now = _bars[-1]
     first = widget.n
     widget.total, of_now[0] = max(widget.total, first + work), work
     yield
     # What told nothing on its way, and what fell short of its end.
-    _to(widget, first + work)
+    _move_bar_to(widget, first + work)
 
 
 def advance(share) -> None:
@@ -51,9 +59,9 @@ def advance(share) -> None:
     if widget.n == 0:
         # What is left is not told by how long the program took to be compiled.
         widget.unpause()
-    _to(widget, widget.n + work * float(share))
+    _move_bar_to(widget, widget.n + work * float(share))
 
 
-def _to(widget: tqdm, place: float) -> None:
+def _move_bar_to(widget: tqdm, place: float) -> None:
     """Moves a bar so far, never back."""
     widget.update(max(min(place, NEARLY * widget.total) - widget.n, 0.0))

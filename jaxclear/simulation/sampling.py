@@ -45,7 +45,13 @@ def check_instants(mechanism: Mechanism, integrator: AbstractIntegrator) -> None
 
 
 def next_instant(system: System, time: Any, stop: Any) -> Any:
-    """The first instant [s] of any load after a time, at the latest `stop`."""
+    """The next sampling instant of any load [s], at the latest `stop`.
+
+    Args:
+        system: with loads that sample the motion.
+        time: instant [s]; the result is later.
+        stop: end of the span [s].
+    """
     ahead = stop
     for load in sampled_loads(system).values():
         period = load.sampled_every()
@@ -56,7 +62,13 @@ def next_instant(system: System, time: Any, stop: Any) -> Any:
 
 
 def sampled(model: Model, time: Any, state: Float[Array, " n"]) -> Float[Array, " n"]:
-    """The state with what loads hold from a time on, where it is an instant of theirs."""
+    """The state with new outputs of the loads that sample the motion at this instant.
+
+    Args:
+        model: of the run.
+        time: instant [s]; loads that do not sample at it keep their states.
+        state: shape (n,).
+    """
     system, layout = model.system, model.layout
     if not sampled_loads(system):
         return state

@@ -113,14 +113,14 @@ def check_run(mechanism: Mechanism, integrator: AbstractIntegrator) -> None:
     expect(mechanism, Mechanism, "what is simulated", "a jaxclear.Mechanism")
     expected = "one of jaxclear.integrator, such as Adaptive()"
     expect(integrator, AbstractIntegrator, "the integrator", expected)
-    key = None if is_traced(mechanism.couplings) else _form(mechanism, integrator)
+    key = None if is_traced(mechanism.couplings) else _form_of_mechanism(mechanism, integrator)
     if key is None or _SUITS.get(key) is None:
         _check_suited(mechanism, integrator)
         if key is not None:
             _SUITS.keep(key, True)
 
 
-def _form(mechanism: Mechanism, integrator: AbstractIntegrator) -> Key:
+def _form_of_mechanism(mechanism: Mechanism, integrator: AbstractIntegrator) -> Key:
     """All by which a mechanism suits an integrator: of numbers those of couplings alone."""
     leaves, structure = jax.tree.flatten((mechanism, integrator))
     return Key(structure, [x for x in leaves if not eqx.is_array(x)], mechanism.couplings)
@@ -159,9 +159,13 @@ def _check_end(trajectory: Trajectory) -> None:
 
 
 def is_all_kernel(mechanism: Mechanism, integrator: AbstractIntegrator, loud: bool = False) -> bool:
-    """Whether next to all work of a run is that of its kernels, if it has any and does not report
-    its progress (`loud`): then XLA need not optimise the rest, of however many cells worn
-    surfaces are."""
+    """Whether nearly all work of a run is in its kernels, so that XLA need not optimise the rest.
+
+    Args:
+        mechanism: few coordinates suit.
+        integrator: whether its steps are in kernels.
+        loud: whether the run reports its progress, which leaves the kernels.
+    """
     # A motor has an equation of its own, whatever the others do.
     branches = (branch for branch in mechanism.topology.branches if not branch.motor)
     small = sum(branch.coordinate_count for branch in branches) <= FEW_COORDINATES
@@ -233,10 +237,10 @@ def simulate(
     if accuracy is not None:
         check_one_of_two("simulate", integrator)
         bounds, how = bounds_of_run(accuracy), how._replace(verify=verify is not False)
-        trajectory = _simulated_to_accuracy(mechanism, duration, how, bounds)
+        trajectory = _simulate_to_accuracy(mechanism, duration, how, bounds)
     else:
         integrator = Adaptive() if integrator is None else integrator
-        trajectory = _simulated(mechanism, duration, integrator, how)
+        trajectory = _simulate_once(mechanism, duration, integrator, how)
     if throw:
         _check_end(trajectory)
     return trajectory
@@ -278,7 +282,7 @@ def _get_or_compute(latest: Latest[Value], key: Any, find: Callable[[], Value]) 
     return value
 
 
-def _simulated(
+def _simulate_once(
     mechanism: Mechanism,
     duration: float,
     integrator: AbstractIntegrator,
@@ -342,12 +346,12 @@ _USUAL_IS_CHEAP: Latest[bool] = Latest(64)
 USUAL = "Run with integrator.Adaptive(): choosing another would take longer."
 
 
-def _simulated_to_accuracy(
+def _simulate_to_accuracy(
     mechanism: Mechanism, duration: float, how: How, bounds: Bounds
 ) -> Trajectory:
     """A run that keeps an accuracy: the usual one, where its companions find it to and a choice
     would take longer; otherwise that of least work."""
-    question = _question(mechanism, duration, how, bounds.observe, bounds.compare)
+    question = _make_question(mechanism, duration, how, bounds.observe, bounds.compare)
     usual, again = Adaptive(), repeated(mechanism, duration, how)
 
     def is_cheap() -> bool:
@@ -364,14 +368,14 @@ def _simulated_to_accuracy(
         finer = usual.with_finer_steps(HALF)
         return bool(wearing_in(mechanism)) and keeps_accuracy(run, again(finer, 1.0), question)
 
-    key = _form(mechanism, usual), question.times.tobytes()
+    key = _form_of_mechanism(mechanism, usual), question.times.tobytes()
     if how.verify and _get_or_compute(_USUAL_IS_CHEAP, key, is_cheap):
-        run = _simulated(mechanism, duration, usual, how, bounds._replace(why=USUAL))
+        run = _simulate_once(mechanism, duration, usual, how, bounds._replace(why=USUAL))
         if is_accurate(run):
             return run
     choice = chosen_for(mechanism, duration, bounds.observe, bounds.compare, how)
     stated = bounds._replace(why=choice.why)
-    return _simulated(mechanism, duration, choice.integrator, how, stated)
+    return _simulate_once(mechanism, duration, choice.integrator, how, stated)
 
 
 def check_one_of_two(owner: str, integrator: Any) -> None:
@@ -390,14 +394,23 @@ def chosen_for(
     compare: Callable[[Trajectory, Any, Any], dict[str, float]],
     how: How,
 ) -> Chosen:
-    """The integrator that keeps an accuracy at the least work, from runs; what is compared of
-    these, and how far two are apart beside what is allowed, as in `errors.choice.Question`."""
-    question = _question(mechanism, duration, how, observe, compare)
+    """The integrator that keeps an accuracy at the least work, chosen by runs.
+
+    Args:
+        mechanism: of the run.
+        duration: of the run [s].
+        observe: function from a run to what is compared of it.
+            compare: function of a run and two observations: how far these are apart, as multiples
+            of what
+            is allowed, by name.
+        how: settings of `simulate`.
+    """
+    question = _make_question(mechanism, duration, how, observe, compare)
     rungs = rungs_of(mechanism, question.times, lambda integrator: check_run(mechanism, integrator))
     return choose_setting(rungs, repeated(mechanism, duration, how), question)
 
 
-def _question(mechanism: Any, duration: Any, how: How, observe: Any, compare: Any) -> Question:
+def _make_question(mechanism: Any, duration: Any, how: How, observe: Any, compare: Any) -> Question:
     """What is compared of runs that choose. Raises `ValueError` for what is traced."""
     expect(mechanism, Mechanism, "what is simulated", "a jaxclear.Mechanism")
     if is_traced((mechanism, duration, how.state)):
@@ -410,14 +423,19 @@ def _question(mechanism: Any, duration: Any, how: How, observe: Any, compare: An
 
 
 def repeated(mechanism: Mechanism, duration: float, how: How) -> Again:
-    """The same run by any integrator, over any share of the duration, without replicas; however it
-    ends."""
+    """A function that repeats a run with any integrator over a share of its duration.
+
+    Args:
+        mechanism: of the run.
+        duration: of the whole run [s].
+        how: settings of `simulate`; the repetition is not verified and shows no progress.
+    """
     saving = as_saving(how.save)
     times = np.asarray(saving_times(duration, saving.at))
 
     def again(integrator: AbstractIntegrator, share: float) -> Trajectory:
         at = Saving(share * times, saving.events)
         quiet = how._replace(save=at, progress_bar=False, verify=False)
-        return _simulated(mechanism, share * duration, integrator, quiet)
+        return _simulate_once(mechanism, share * duration, integrator, quiet)
 
     return again

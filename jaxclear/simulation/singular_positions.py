@@ -5,8 +5,8 @@ which way it goes on. A drive may also ask for what no position of a loop meets,
 forces grow without bound there, so a run ends for what seems another reason.
 
 Runs that end early are looked at from their last saved state on: are there positions that close the
-loops with the drives as they move (`_closable`), and does the rank of their Jacobian fall
-(`_where_it_ended`)?
+loops with the drives as they move (`_can_close`), and does the rank of their Jacobian fall
+(`_singular_end`)?
 
 Of runs of one mechanism that reach their end, loops that drives hold are looked at all along
 (`singular_positions`): the determinant of their rows is 0 at a singular position. Between saved
@@ -91,7 +91,7 @@ def diagnosed(trajectory: Trajectory) -> Trajectory:
     outcome = diagnosed_outcome(trajectory)
     near = None
     if int(outcome) in MAY_BE_SINGULAR:
-        near = _where_it_ended(trajectory.history, constant(trajectory.ended))
+        near = _singular_end(trajectory.history, constant(trajectory.ended))
     if near is None:
         return dataclasses.replace(trajectory, outcome=outcome)
     outcome = jnp.full_like(outcome, int(Outcome.SINGULAR_POSITION))
@@ -111,12 +111,12 @@ def diagnosed_outcome(trajectory: Trajectory) -> Int[Array, ""]:
     before, after = jnp.maximum(last - 1, 0), jnp.minimum(last + 1, len(times) - 1)
     q = states[before, : mechanism.topology.coordinate_count]
     early = outcome != Outcome.REACHED
-    closable = _closable(mechanism, q, times[before], times[after], early)
+    closable = _can_close(mechanism, q, times[before], times[after], early)
     return jnp.where(early & ~closable, Outcome.DEAD_POINT, outcome)
 
 
 @eqx.filter_jit
-def _closable(
+def _can_close(
     mechanism: Mechanism, q: Float[Array, " q"], start: Any, stop: Any, requested: Bool[Array, ""]
 ) -> Bool[Array, ""]:
     """Whether coordinates that close the loops follow from q at all times from `start` to `stop`
@@ -137,7 +137,7 @@ def _closable(
     return jax.lax.while_loop(continues, follow, (jnp.asarray(0), q, jnp.asarray(True)))[2]
 
 
-def _where_it_ended(history: StateHistory, ended: Any) -> SingularPosition | None:
+def _singular_end(history: StateHistory, ended: Any) -> SingularPosition | None:
     """The singular position at which a run ended; None where there is none, and for linkages whose
     rows depend on each other everywhere."""
     topology = history.mechanism.topology
@@ -150,7 +150,7 @@ def _where_it_ended(history: StateHistory, ended: Any) -> SingularPosition | Non
     count, speeds = topology.coordinate_count, topology.speed_count
     q, v = states[before, :count], states[before, count : count + speeds]
     instants = jnp.linspace(times[before], times[after], INSTANTS)
-    rows, follows, closures = _carried_on(mechanism, q, v, instants)
+    rows, follows, closures = _jacobians_along(mechanism, q, v, instants)
     rows = np.asarray(rows)[np.asarray(follows)]
     if not rows.size or rows.shape[1] > rows.shape[2] or not np.all(np.isfinite(rows)):
         return None
@@ -167,7 +167,7 @@ def _where_it_ended(history: StateHistory, ended: Any) -> SingularPosition | Non
 
 
 @eqx.filter_jit
-def _carried_on(
+def _jacobians_along(
     mechanism: Mechanism, q: Float[Array, " q"], v: Float[Array, " v"], times: Float[Array, " n"]
 ) -> tuple[Array, Array, Array]:
     """(at each time the Jacobian of the loops' rows that count alike, whether the loops were
@@ -199,7 +199,7 @@ class _Rows(NamedTuple):
     closures: list[int]
 
 
-def _rows_of(problem: Ask, q: Array, time: Any) -> _Rows:
+def _scaled_rows(problem: Ask, q: Array, time: Any) -> _Rows:
     """In radians and longest arms."""
     system, scales = problem.system, speed_scales(problem)
     motions = motions_at(problem, q, jnp.zeros(system.topology.speed_count), time)[2]
@@ -216,14 +216,14 @@ def _rows_of(problem: Ask, q: Array, time: Any) -> _Rows:
     return _Rows(entries, jnp.stack(misfits) if misfits else jnp.zeros(0), closures)
 
 
-def _matrix(rows: _Rows, r: DrivenLoop) -> Float[Array, "n n"]:
+def _matrix_of_rows(rows: _Rows, r: DrivenLoop) -> Float[Array, "n n"]:
     matrix = [[rows.entries[i].get(j, 0.0) for j in r.columns] for i in r.rows]
     return jnp.stack([jnp.stack([jnp.asarray(x, float) for x in row]) for row in matrix])
 
 
 def _determinants(problem: Ask, q: Array, time: Any) -> Float[Array, " held"]:
-    rows = _rows_of(problem, q, time)
-    values = [jnp.linalg.det(_matrix(rows, loop)) for loop in driven_loops(rows.entries)]
+    rows = _scaled_rows(problem, q, time)
+    values = [jnp.linalg.det(_matrix_of_rows(rows, loop)) for loop in driven_loops(rows.entries)]
     return jnp.stack(values) if values else jnp.zeros(0)
 
 
@@ -268,7 +268,7 @@ class _Candidates(NamedTuple):
     places: Float[Array, "intervals most q"]
 
 
-def _nearly_zero(before: tuple, after: tuple, length: Any, usual: Array) -> Bool[Array, " held"]:
+def _may_be_zero(before: tuple, after: tuple, length: Any, usual: Array) -> Bool[Array, " held"]:
     """Whether a determinant may be 0 within a time, by its values and rates at both ends; `usual`:
     its size."""
     (a, slope_a), (b, slope_b) = before, after
@@ -279,7 +279,7 @@ def _nearly_zero(before: tuple, after: tuple, length: Any, usual: Array) -> Bool
 
 
 @compiled_quickly
-def _followed(
+def _follow_intervals(
     mechanism: Mechanism, motion: tuple[Array, ...], spans: tuple[Array, ...], usual: Array
 ) -> _Candidates:
     """The candidates of intervals, from the motion (q, v) at their begins; `spans`: when they begin
@@ -300,7 +300,7 @@ def _followed(
         ahead = retract(problem.system, place, length * speed), length * speed
         after, done = jax.lax.fori_loop(0, CLOSING, lambda _, now: closer(*now, there), ahead)
         now = _rates(problem, after, done / length, there, length)
-        zero = _nearly_zero(last, now, length, usual)
+        zero = _may_be_zero(last, now, length, usual)
         any_zero, at = jnp.any(zero), jnp.minimum(results.number[k], CANDIDATES - 1)
         keep = lambda array, value: array.at[k, at].set(jnp.where(any_zero, value, array[k, at]))
         results = _Candidates(
@@ -330,7 +330,7 @@ def _followed(
 
 
 @compiled_quickly
-def _confirmed(
+def _confirm_zero(
     mechanism: Mechanism, q: Array, begin: Any, end: Any, loop_index: Any, usual: Array
 ) -> tuple[Array, ...]:
     """(when the loops are closed and the determinant is 0, what is left of either, for each free
@@ -341,7 +341,7 @@ def _confirmed(
 
     def missed(moved):
         place, time = retract(problem.system, q, scales * moved[:-1]), begin + span * moved[-1]
-        rows = _rows_of(problem, place, time)
+        rows = _scaled_rows(problem, place, time)
         return jnp.append(rows.residuals, (_determinants(problem, place, time) / usual)[loop_index])
 
     def nearer_to_it(_, moved):
@@ -351,10 +351,10 @@ def _confirmed(
     first = jnp.zeros(len(scales) + 1).at[-1].set(0.5)
     moved = jax.lax.fori_loop(0, NEWTON, nearer_to_it, first)
     time, place = begin + span * moved[-1], retract(problem.system, q, scales * moved[:-1])
-    rows = _rows_of(problem, place, time)
+    rows = _scaled_rows(problem, place, time)
     columns, forces = [], []
     for part in driven_loops(rows.entries):
-        u, _, right = jnp.linalg.svd(_matrix(rows, part))
+        u, _, right = jnp.linalg.svd(_matrix_of_rows(rows, part))
         columns.append(jnp.zeros(len(scales)).at[jnp.array(part.columns)].set(abs(right[-1])))
         forces.append(jnp.zeros(len(rows.residuals)).at[jnp.array(part.rows)].set(u[:, -1] ** 2))
     loops = jnp.zeros(len(mechanism.topology.loops)).at[jnp.array(rows.closures)]
@@ -382,12 +382,12 @@ def singular_positions(trajectory: Trajectory) -> tuple[SingularPosition, ...]:
     if not values.shape[1] or not np.all(np.isfinite(values)):
         return ()
     instants, usual = np.asarray(times), np.max(abs(values), axis=0)
-    doubtful = np.flatnonzero(_doubtful(values, rates, fast, driven, np.diff(instants)))
+    doubtful = np.flatnonzero(_doubtful_intervals(values, rates, fast, driven, np.diff(instants)))
     if not len(doubtful):
         return ()
     places = np.resize(doubtful, 2 ** int(np.ceil(np.log2(max(len(doubtful), 8)))))
     spans = times[places], times[places + 1], jnp.asarray(len(doubtful))
-    candidates = _followed(mechanism, (q[places], v[places]), spans, jnp.asarray(usual))
+    candidates = _follow_intervals(mechanism, (q[places], v[places]), spans, jnp.asarray(usual))
     sure = []
     for k in range(len(doubtful)):
         for at in range(min(int(candidates.number[k]), CANDIDATES)):
@@ -396,15 +396,15 @@ def singular_positions(trajectory: Trajectory) -> tuple[SingularPosition, ...]:
                 candidates.ends[k, at],
                 candidates.loop[k, at],
             )
-            one = _confirmed(mechanism, candidates.places[k, at], begin, end, loop, usual)
+            one = _confirm_zero(mechanism, candidates.places[k, at], begin, end, loop, usual)
             time, residual = float(one[0]), float(one[1])
             near = begin - (end - begin) <= time <= end + (end - begin)
             if residual <= CLOSED and near:
                 sure.append((time, int(loop), np.asarray(one[2]), np.asarray(one[3])))
-    return _describe(history, sure, instants, values, np.asarray(v))
+    return _describe_singular(history, sure, instants, values, np.asarray(v))
 
 
-def _doubtful(
+def _doubtful_intervals(
     values: np.ndarray, rates: np.ndarray, fast: np.ndarray, driven: np.ndarray, lengths: np.ndarray
 ) -> np.ndarray:
     """Which saving intervals may hold a zero of a determinant, as far as their ends tell."""
@@ -417,7 +417,7 @@ def _doubtful(
     return np.any(reached | changed, axis=1) | (moved > CONFIRMED)
 
 
-def _describe(
+def _describe_singular(
     history: StateHistory, sure: list[tuple], times: np.ndarray, values: np.ndarray, v: np.ndarray
 ) -> tuple[SingularPosition, ...]:
     """What is found, each once, with what the run did there."""

@@ -46,7 +46,7 @@ def initial_depths(mechanism: Mechanism, depths: Worn | None) -> Worn | None:
             check_name("worn surface", surface, cells[joint], f' of joint "{joint}"')
     return {
         joint: {
-            surface: _depths(f'worn["{joint}"]["{surface}"]', depths[joint][surface], shape)
+            surface: _check_depths(f'worn["{joint}"]["{surface}"]', depths[joint][surface], shape)
             if surface in depths.get(joint, {})
             else jnp.zeros(shape)
             for surface, shape in surfaces.items()
@@ -66,7 +66,7 @@ def with_coarser_cells(mechanism: Mechanism, factor: float) -> Mechanism:
     return jax.tree.map(wider, mechanism, is_leaf=is_wearing)
 
 
-def _depths(name: str, depths: Any, cells: tuple[int, ...]) -> Array:
+def _check_depths(name: str, depths: Any, cells: tuple[int, ...]) -> Array:
     """Depths of a map of so many cells [m]."""
     if jnp.shape(depths) != tuple(cells):
         raise ValueError(
@@ -82,16 +82,26 @@ def _depths(name: str, depths: Any, cells: tuple[int, ...]) -> Array:
 def losses_between(
     layout: Layout, states: Float[Array, "time n"], every: int = 1
 ) -> dict[tuple[str, str], tuple[Array, ...]]:
-    """What each surface lost from one saving time to the next, in a run that had these states then
-    (`every`: at one of so many of them alone): as `Losses`, with an axis of time in front."""
+    """What each surface lost between saving times, with a first axis of time.
+
+    Args:
+        layout: of the state array.
+        states: at the saving times.
+        every: stride over saving times; the last one always counts.
+    """
     count = len(states)
     some = states[np.unique([*range(0, count, every), count - 1])]
     return jax.vmap(lambda before, after: losses(layout, before, after))(some[:-1], some[1:])
 
 
 def worn_by(system: System, worn: Worn, losses: Losses) -> Worn:
-    """Depth maps after losses one after the other, whose arrays have an axis of time in front. No
-    derivatives."""
+    """Depth maps [m] after losses one after the other; without derivatives.
+
+    Args:
+        system: with the wear maps.
+        worn: depth maps [m] before, by joint and surface.
+        losses: of each surface, with a first axis of time.
+    """
     if not losses:
         return worn
     system, worn, losses = constant((system, worn, losses))
@@ -119,8 +129,13 @@ def worn_by(system: System, worn: Worn, losses: Losses) -> Worn:
 
 
 def is_off_surface(system: System, layout: Layout, state: Array) -> Any:
-    """Whether locations of wear are all that is no number in a state, because a part has left the
-    surface that it wears; False where none can."""
+    """Whether a state is not finite only because a part has left the surface that it wears.
+
+    Args:
+        system: with the wear maps; only flat ones can be left.
+        layout: of the state array.
+        state: shape (n,).
+    """
     maps = wear_maps(system)
     places: list[int] = []
     for slot in layout.wear:
@@ -133,7 +148,12 @@ def is_off_surface(system: System, layout: Layout, state: Array) -> Any:
 
 
 def losses(layout: Layout, before: Array, after: Array) -> Losses:
-    """What each surface lost between two states."""
+    """What each surface lost between two states, by (joint, surface).
+
+    Args:
+        layout: of the state array.
+        before, after: states, shape (n,).
+    """
     events: dict[tuple[str, str], list] = {}
     for slot in layout.wear:
         events.setdefault((slot.bearing, slot.surface), []).append(slot.loss(before, after))
@@ -144,16 +164,22 @@ def losses(layout: Layout, before: Array, after: Array) -> Losses:
 
 
 def deposited(system: System, worn: Worn, losses: Losses) -> Worn:
-    """Depth maps after these losses."""
+    """Depth maps [m] after losses, all of which see the surfaces as they were.
+
+    Args:
+        system: with the wear maps.
+        worn: depth maps [m] before, by joint and surface.
+        losses: volume and place of each event, by (joint, surface).
+    """
     worn = {name: dict(surfaces) for name, surfaces in worn.items()}
     for (joint, surface), (volumes, places) in losses.items():
-        wear_map, places = _facing_others(system, worn, joint, surface, places)
+        wear_map, places = _map_with_other_wear(system, worn, joint, surface, places)
         # All events of a surface see it as it was: none comes before the others.
         worn[joint][surface] = wear_map.deposit(worn[joint][surface], volumes, places)
     return worn
 
 
-def _facing_others(
+def _map_with_other_wear(
     system: System, worn: Worn, joint: str, surface: str, places: Array
 ) -> tuple[AbstractWearMap, Array]:
     """(map of a surface, location features of its events) beside what the other surfaces of its
@@ -191,20 +217,33 @@ class Pending(NamedTuple):
 
 
 def pending_wear(system: System, layout: Layout, state: Array) -> Pending:
-    """Of surfaces that have been worn by all that was lost up to a state."""
+    """Record of wear that is not yet put into the maps, when all until a state has been.
+
+    Args:
+        system: with the wear maps.
+        layout: of the state array.
+        state: shape (n,).
+    """
     maps, pressures = wear_maps(system), {}
     for surface, (volumes, _) in losses(layout, state, state).items():
         cells = maps[surface[0]][surface[1]][0].cells
         pressures[surface] = tuple(jnp.zeros(cells) for _ in volumes)
-    return Pending(state[_of_wear(layout)], pressures)
+    return Pending(state[_wear_entries(layout)], pressures)
 
 
 def worn_so_far(
     system: System, layout: Layout, now: tuple[Worn, Any, Pending], state: Array, wears: Any = None
 ) -> tuple[Worn, Any, Pending]:
-    """(depth maps, as gaps read them, what is pending) once surfaces are worn by all that was lost
-    up to a state, if `wears` (None: always): cell by cell, for a kernel. None where no gap reads
-    one.
+    """(depth maps, as gaps read them, pending wear) with all losses up to a state in the maps.
+
+    It goes cell by cell, for a kernel.
+
+    Args:
+        system: with the wear maps.
+        layout: of the state array.
+        now: the same three before; the second is None where no gap reads the maps.
+        state: shape (n,).
+        wears: whether to update; None: always.
     """
     worn, read, before = now
     events, reached = pending_losses(layout, before.since, state, wears)
@@ -217,7 +256,7 @@ def _wear_in_turn(system: System, now: tuple[Worn, Any, Any], losses: Losses) ->
     worn, read = ({name: dict(m) for name, m in part.items()} for part in now[:2])
     pressures = dict(now[2])
     for (joint, surface), (volumes, places) in losses.items():
-        wear_map, places = _facing_others(system, worn, joint, surface, places)
+        wear_map, places = _map_with_other_wear(system, worn, joint, surface, places)
         inputs = worn[joint][surface], read[joint][surface], pressures[joint, surface]
         result = wear_map.deposit_in_turn(*inputs, volumes, places)
         worn[joint][surface], read[joint][surface], pressures[joint, surface] = result
@@ -227,14 +266,20 @@ def _wear_in_turn(system: System, now: tuple[Worn, Any, Any], losses: Losses) ->
 def pending_losses(
     layout: Layout, since: Array, state: Array, wears: Any = None
 ) -> tuple[Losses, Array]:
-    """(what surfaces are still to lose, as of `worn_so_far`; the entries that tell what contacts
-    have lost, as they are once surfaces are worn by that)."""
-    entries = _of_wear(layout)
+    """Losses that are not yet in the maps, and the entries of the state up to which they then are.
+
+    Args:
+        layout: of the state array.
+        since: wear entries of the state at the last update.
+        state: shape (n,).
+        wears: whether to update; None: always.
+    """
+    entries = _wear_entries(layout)
     reached = state[entries] if wears is None else jnp.where(wears, state[entries], since)
     return losses(layout, *(state.at[entries].set(each) for each in (since, reached))), reached
 
 
-def _of_wear(layout: Layout) -> slice:
+def _wear_entries(layout: Layout) -> slice:
     """The entries of a state that tell what contacts have lost; none where nothing wears."""
     if not layout.wear:
         return slice(0, 0)
@@ -243,15 +288,28 @@ def _of_wear(layout: Layout) -> slice:
 
 
 def wear_all(system: System, worn: Worn, _: Worn, losses: Losses) -> tuple[Worn, Worn]:
-    """Depth maps after these losses, and as gaps read them."""
+    """Depth maps [m] after losses, and as gaps read them.
+
+    Args:
+        system: with the wear maps.
+        worn: depth maps [m] before, by joint and surface.
+        _: the maps as gaps read them before, which are not needed.
+        losses: volume and place of each event, by (joint, surface).
+    """
     worn = deposited(system, worn, losses)
     return worn, readings(system, worn)
 
 
 def wear_changed(system: System, worn: Worn, read: Worn, losses: Losses) -> tuple[Worn, Worn]:
-    """As `wear_all`, and surfaces that lost nothing stay as they are. Of a batch one sample
-    after the other, so that each enters only what its own losses ask for. Not for derivatives in
-    reverse mode."""
+    """As `wear_all`, but surfaces that lost nothing are not computed; not for reverse mode.
+
+    Samples of a batch go one after the other, so that each costs only its own losses.
+
+    Args:
+        system: with the wear maps.
+        worn, read: depth maps [m] before, and as gaps read them.
+        losses: volume and place of each event, by (joint, surface).
+    """
     if not losses:
         return worn, read
     numbers, rest = eqx.partition(system, eqx.is_array)

@@ -80,10 +80,18 @@ class Rounded(eqx.Module):
     level: dict[str, tuple[bool, ...]] = eqx.field(static=True)
 
     def gaps(self, name: str, joint: AbstractClearance, depths: tuple) -> list:
-        r"""The gaps [m] of a joint, those that are level in the middle as :math:`g - g^2 / 2 g_0`:
-        :math:`(c^2 - e^2) / 2c` for a round bore, which is smooth in its middle too, 0 at the wall
-        with the same slope."""
-        middles = _at_the_middle(joint)
+        r"""The gaps [m] of a joint; those level in the middle as :math:`g - g^2 / 2 g_0`.
+
+        That is :math:`(c^2 - e^2) / 2c` for a round bore: smooth in the middle, 0 at the wall with
+        the
+        same slope.
+
+        Args:
+            name: of the joint.
+            joint: geometry of the clearance.
+            depths: indentation of each possible contact [m].
+        """
+        middles = _overlaps_at_middle(joint)
         out: list[Any] = []
         for level, depth, middle in zip(self.level[name], depths, middles, strict=True):
             gap = sp.neg(depth)
@@ -96,14 +104,14 @@ def rounded(mechanism: Any) -> Rounded:
     radii = {}
     for name in mechanism.topology.clearances:
         joint = mechanism.connections[name].joint
-        slopes = jax.jacfwd(lambda place, joint=joint: jnp.stack(_overlaps(joint, place)))
+        slopes = jax.jacfwd(lambda place, joint=joint: jnp.stack(_overlaps_of(joint, place)))
         steep = np.abs(np.asarray(slopes(jnp.zeros(6)))).max(axis=1)
-        roomy = -np.asarray(jnp.stack(_at_the_middle(joint))) > 0
+        roomy = -np.asarray(jnp.stack(_overlaps_at_middle(joint))) > 0
         radii[name] = tuple(bool(x) for x in (steep < LEVEL) & roomy)
     return Rounded(radii)
 
 
-def _overlaps(joint: AbstractClearance, place: Array) -> list:
+def _overlaps_of(joint: AbstractClearance, place: Array) -> list:
     """Indentations [m] of a joint whose journal is moved from the middle and leant, to first order,
     by three numbers each."""
     offset, lean = tuple(place[:3]), tuple(place[3:])
@@ -112,8 +120,8 @@ def _overlaps(joint: AbstractClearance, place: Array) -> list:
     return [jnp.asarray(x, float) for x in joint.indentations(offset, axes, {})]
 
 
-def _at_the_middle(joint: AbstractClearance) -> list:
-    return _overlaps(joint, jnp.zeros(6))
+def _overlaps_at_middle(joint: AbstractClearance) -> list:
+    return _overlaps_of(joint, jnp.zeros(6))
 
 
 class Case(NamedTuple):
@@ -127,11 +135,18 @@ class Case(NamedTuple):
 
 
 def case_of(scene: Posed, side: Any, angles: dict[str, Any], how: Rounded) -> Case:
-    """The mechanism of a scene ready for what follows."""
+    """The prepared mechanism of a scene with the side of its loads.
+
+    Args:
+        scene: mechanism with positions of its drives.
+        side: 1, or -1 for reversed loads.
+        angles: [rad] near which coordinates outside the tree are read, by joint.
+        how: which gaps are rounded in the middle.
+    """
     return Case(prepare(scene.mechanism), side, angles, how)
 
 
-def _motions(system: System, q: Array) -> tuple[tuple, tuple, tuple[Motion, ...]]:
+def _motions_at_rest(system: System, q: Array) -> tuple[tuple, tuple, tuple[Motion, ...]]:
     """Coordinates and speeds by link, and the motion of every link at rest."""
     still = (0,) * system.topology.speed_count
     places, rates = unpack_motion(system, [*q, *still])
@@ -140,7 +155,7 @@ def _motions(system: System, q: Array) -> tuple[tuple, tuple, tuple[Motion, ...]
 
 def work(case: Case, q: Array) -> Float[Array, " v"]:
     """Forces of loads and springs along the free speeds [N m, N]."""
-    places, rates, motions = _motions(case.system, q)
+    places, rates, motions = _motions_at_rest(case.system, q)
     system, forces = acting(case.system, motions, places, rates, case.side, case.angles)
     return -sp.stack(unheld(system, forces))
 
@@ -148,7 +163,7 @@ def work(case: Case, q: Array) -> Float[Array, " v"]:
 def restraints(case: Case, q: Array) -> tuple[Array, Array]:
     """What is left of the loops' closure [m, 1], and the gaps of all contacts [m]."""
     system = case.system
-    motions = _motions(system, q)[2]
+    motions = _motions_at_rest(system, q)[2]
     rows = [rows_of.residuals for rows_of in loop_rows(system, motions)]
     gaps: list[Any] = []
     for name, bearing in system.bearings.items():
@@ -159,8 +174,15 @@ def restraints(case: Case, q: Array) -> tuple[Array, Array]:
 
 
 def terms(case: Case, measures: Measures, q: Array, closing: Array, pushing: Array) -> Terms:
-    """What is to be 0 at coordinates, under multipliers of loops and normal forces without
-    units."""
+    """Dimensionless residuals of the equilibrium: balance of forces, loops, gaps.
+
+    Args:
+        case: mechanism and side of its loads.
+        measures: scales of speeds, loops, energy and lengths.
+        q: coordinates of the tree, shape (coordinates,).
+        closing: multipliers of the loops, dimensionless.
+        pushing: normal forces at the gaps, dimensionless.
+    """
 
     def at_step(step):
         loops, gaps = restraints(case, retract(case.system, q, measures.speeds * step))
@@ -178,10 +200,10 @@ def measures_of(case: Case, q: Array) -> Measures:
     system = case.system
     arm = jax.lax.stop_gradient(longest_arm(system))
     speeds = speed_scales(system, arm)
-    motions = _motions(system, q)[2]
+    motions = _motions_at_rest(system, q)[2]
     each = zip(system.closures, loop_rows(system, motions), strict=True)
     units = [x for closure, u in each for x in constraints.measures(closure, u, arm)]
-    rooms = _rooms(case)
+    rooms = _gaps_in_middle(case)
     # There, and a play away along every freedom; a radian where there is none.
     play = jnp.max(rooms, initial=0.0, where=rooms > 0) / arm if len(rooms) else 1.0
     both = jnp.array([0.0, 1.0])[:, None] * play * speeds
@@ -193,21 +215,21 @@ def measures_of(case: Case, q: Array) -> Measures:
     return Measures(speeds, jax.lax.stop_gradient(sp.stack(units)), arm, energy)
 
 
-def _rooms(case: Case) -> Array:
+def _gaps_in_middle(case: Case) -> Array:
     """Gaps of all contacts [m] in the middle of their joints."""
     joints = [bearing.joint for bearing in case.system.bearings.values()]
-    return -sp.stack([depth for joint in joints for depth in _at_the_middle(joint)])
+    return -sp.stack([depth for joint in joints for depth in _overlaps_at_middle(joint)])
 
 
 def play(case: Case, measures: Measures) -> Any:
     """The least play of a journal, beside the longest arm; 1 where there is none."""
-    rooms = jax.lax.stop_gradient(_rooms(case)) / measures.arm
+    rooms = jax.lax.stop_gradient(_gaps_in_middle(case)) / measures.arm
     return jnp.min(rooms, initial=1.0, where=rooms > 0)
 
 
 def angles_near(case: Case, q: Array) -> dict[str, Any]:
     """Angles [rad] of joints outside the tree on which loads act, near those of the case."""
-    motions = _motions(case.system, q)[2]
+    motions = _motions_at_rest(case.system, q)[2]
     return {
         name: closure_coordinates.read(case.system, name, motions, near).position
         for name, near in case.angles.items()
@@ -215,9 +237,17 @@ def angles_near(case: Case, q: Array) -> dict[str, Any]:
 
 
 def resting(case: Case, q: Array, multipliers: Array, pushes: Array) -> Resting:
-    """The mechanism where it rests, with the reaction of every joint: on its child about its
-    marker, in the axes of the parent's marker."""
-    places, rates, motions = _motions(case.system, q)
+    """The mechanism at rest, with the reaction of every joint.
+
+    Reactions are on the joint's child about its marker, in the parent marker's axes.
+
+    Args:
+        case: mechanism and side of its loads.
+        q: coordinates of the tree at rest, shape (coordinates,).
+        multipliers: of the loops [N, N m].
+        pushes: normal force [N] at each gap, joint after joint.
+    """
+    places, rates, motions = _motions_at_rest(case.system, q)
     system, forces = acting(case.system, motions, places, rates, case.side, case.angles)
     contacts, first = list[Row](), 0
     for name, bearing in system.bearings.items():
@@ -238,7 +268,7 @@ def resting(case: Case, q: Array, multipliers: Array, pushes: Array) -> Resting:
 
 def offsets(case: Case, q: Array) -> dict[str, Array]:
     """Where each journal lies: offset (x, y, z) [m] and slope (dx/dz, dy/dz) of its axis [1]."""
-    motions = _motions(case.system, q)[2]
+    motions = _motions_at_rest(case.system, q)[2]
     out = {}
     for name, bearing in case.system.bearings.items():
         pose = kinematics.relative_motion(bearing.closure, motions)[1]
@@ -251,7 +281,7 @@ def offsets(case: Case, q: Array) -> dict[str, Array]:
 def amiss(case: Case, q: Array) -> tuple[dict[str, Any], dict[str, Any]]:
     """By how much each loop is open [m, 1], by the joint that closes it, and how deep each journal
     lies in its bearing [m]."""
-    motions = _motions(case.system, q)[2]
+    motions = _motions_at_rest(case.system, q)[2]
     deep = {}
     for name, bearing in case.system.bearings.items():
         pose = kinematics.relative_motion(bearing.closure, motions)[1]

@@ -95,7 +95,13 @@ class ByEnergy(eqx.Module):
         return _settled(scene, start, self)
 
     def each(self, scene: Posed, position: Array, starts: Rest) -> Rest:
-        """Where it rests at positions (positions, drives), each from its own start; pure."""
+        """Rest at several positions, each from its own start; pure.
+
+        Args:
+            scene: the mechanism.
+            position: of the drives, shape (positions, drives).
+            starts: with a first axis of positions.
+        """
         if is_traced((scene, position, starts)) or is_tracing():
             one = lambda p, start: settle(scene.at(p), start, self, near=True)
             return _split_before(jax.vmap(one)(position, starts), starts)
@@ -108,9 +114,15 @@ class ByEnergy(eqx.Module):
         return _split_before(jax.tree.map(lambda *p: jnp.stack(p), *rest), starts)
 
     def read(self, scene: Posed, position: Array, spots: Rest) -> Read:
-        """What is read of the mechanism at positions (positions, drives) and where it rests."""
+        """Coordinates, seats and soundness of solutions at several positions.
+
+        Args:
+            scene: the mechanism.
+            position: of the drives, shape (positions, drives).
+            spots: solutions (`each`).
+        """
         offsets = lambda place, spot: equilibrium.offsets(
-            _case(scene.at(place), spot, self), spot.q
+            _make_case(scene.at(place), spot, self), spot.q
         )
         seats = jax.vmap(offsets)(position, spots)
         unknowns = (spots.closing, spots.pushes, spots.angles, spots.loose, spots.split)
@@ -121,7 +133,7 @@ class ByEnergy(eqx.Module):
 
     def amiss(self, scene: Posed, spot: Rest) -> tuple[dict[str, Any], dict[str, Any]]:
         """By how much loops are open [m, 1] and journals deep in their bearings [m], by joint."""
-        return equilibrium.amiss(_case(scene, spot, self), spot.q)
+        return equilibrium.amiss(_make_case(scene, spot, self), spot.q)
 
 
 class Linear(NamedTuple):
@@ -155,24 +167,30 @@ class Search(NamedTuple):
 
 
 def settle(scene: Posed, start: Rest, method: ByEnergy, near: bool = False) -> Rest:
-    """Where the mechanism rests, sought from a start; pure, with the derivatives of the solved
-    equations with respect to the numbers of the scene. `near`: the start is where a mechanism of
-    nearly the same numbers rests, so that the same contacts may carry."""
+    """Where the mechanism rests; pure, with derivatives by the scene's numbers (implicit ones).
+
+    Args:
+        scene: mechanism at one position of its drives.
+        start: at which the search begins.
+        method: settings of the search.
+        near: whether a mechanism of nearly the same numbers rests at the start, so that the same
+            contacts may carry.
+    """
     arrays, rest = eqx.partition(scene, eqx.is_inexact_array)
 
     @jax.custom_jvp
     def solution(arrays, start):
-        case = _case(eqx.combine(arrays, rest), start, method)
+        case = _make_case(eqx.combine(arrays, rest), start, method)
         measures = equilibrium.measures_of(case, start.q)
         first = _first_search(case, measures, start.q)
         if near:
-            first = _continued(case, measures, first, start)
-        return _rest(case, measures, _searched(case, measures, first), start)
+            first = _continue_search(case, measures, first, start)
+        return _rest_of_search(case, measures, _complete_search(case, measures, first), start)
 
     @solution.defjvp
     def tangents(primals, moved):
         out = solution(*primals)
-        return out, _tangent(primals[0], moved[0], rest, out, method)
+        return out, _implicit_tangent(primals[0], moved[0], rest, out, method)
 
     return solution(arrays, start)
 
@@ -218,12 +236,20 @@ def _split_before(rest: Rest, starts: Rest) -> Rest:
 _settled = compiled_quickly(settle)
 
 
-def _case(scene: Posed, start: Rest, method: ByEnergy) -> Case:
+def _make_case(scene: Posed, start: Rest, method: ByEnergy) -> Case:
     return equilibrium.case_of(scene, method.side, start.angles, method.rounded)
 
 
 def linear(case: Case, measures: Measures, q: Array, closing: Array, pushing: Array) -> Linear:
-    """The equations at coordinates with their derivatives."""
+    """Residuals of the equilibrium with their derivatives by the coordinates.
+
+    Args:
+        case: mechanism and side of its loads.
+        measures: scales of speeds, loops, energy and lengths.
+        q: coordinates of the tree, shape (coordinates,).
+        closing: multipliers of the loops, dimensionless.
+        pushing: normal forces at the gaps, dimensionless.
+    """
 
     def at_step(step):
         there = retract(case.system, q, measures.speeds * step)
@@ -243,7 +269,7 @@ def _first_search(case: Case, measures: Measures, q: Array) -> Search:
     none = lambda *shape: jnp.zeros(shape)
     now = Terms(none(free), none(rows), none(contacts))
     # Without contacts there is no barrier that had to fall.
-    barrier = (FIRST_BARRIER if contacts else _ends_at(play)) * play
+    barrier = (FIRST_BARRIER if contacts else _final_barrier(play)) * play
     slacks = jnp.full(contacts, play)
     # A journal in its very middle does not know a direction.
     aside = STEP * play * jnp.cos(1.0 + jnp.arange(free))
@@ -263,13 +289,13 @@ def _first_search(case: Case, measures: Measures, q: Array) -> Search:
     )
 
 
-def _continued(case: Case, measures: Measures, first: Search, start: Rest) -> Search:
+def _continue_search(case: Case, measures: Measures, first: Search, start: Rest) -> Search:
     """The search at its end, where Newton's method on the contacts that carry at the start leads to
     a place of rest; else at its beginning."""
 
     def stepped(now):
         here = linear(case, measures, now.q, now.closing, now.pushing)
-        return _closed(case, measures, now._replace(here=here))
+        return _step_on_contacts(case, measures, now._replace(here=here))
 
     closing = start.closing * measures.loops / measures.energy
     pushing = start.pushes * measures.arm / measures.energy
@@ -277,13 +303,13 @@ def _continued(case: Case, measures: Measures, first: Search, start: Rest) -> Se
     unfinished = lambda now: (now.last == 0) | ((_residual(now) > TINY) & (now.last <= LAST_TURNS))
     now = jax.lax.while_loop(unfinished, stepped, now)
     now = now._replace(last=jnp.full_like(now.last, LAST_TURNS + 1))
-    loose, saddle = _loose(now.here, now.carries)
+    loose, saddle = _freedom_of_speeds(now.here, now.carries)
     # Along what nothing resists the barrier says where a journal lies.
     rests = _is_sound(now) & (_residual(now) <= TINY) & ~saddle & ~jnp.any(loose > 0)
     return jax.tree.map(lambda a, b: jnp.where(rests, a, b), now, first)
 
 
-def _searched(case: Case, measures: Measures, first: Search) -> Search:
+def _complete_search(case: Case, measures: Measures, first: Search) -> Search:
     """Where contacts that carry are closed and the others carry nothing, to rounding; or what is
     reached in `MOST_TURNS`."""
     play = equilibrium.play(case, measures)
@@ -308,13 +334,13 @@ def _advance(case: Case, measures: Measures, now: Search, play: Array) -> Search
     gaps = jnp.maximum(here.now.gaps, FIRST_BARRIER * play)
     slacks = jnp.where(first, gaps, now.slacks)
     now = now._replace(slacks=slacks, here=here, turns=now.turns + 1)
-    now = _lowered(now, play, first)
-    inside, last = _within(case, measures, now), _closed(case, measures, now)
+    now = _lower_barrier(now, play, first)
+    inside, last = _step_within_barrier(case, measures, now), _step_on_contacts(case, measures, now)
     ended = now.last > 0
     return jax.tree.map(lambda a, b: jnp.where(ended, b, a), inside, last)
 
 
-def _lowered(now: Search, play: Array, first: Array) -> Search:
+def _lower_barrier(now: Search, play: Array, first: Array) -> Search:
     """The search with a lower barrier where it has settled within this one (source, eqs. 5, 7), and
     without one where that was the last."""
     terms_now = now.here.now
@@ -325,7 +351,7 @@ def _lowered(now: Search, play: Array, first: Array) -> Search:
         (now.slacks * now.pushing - now.barrier) / play,
     )
     residual = jnp.max(jnp.abs(jnp.concatenate(parts)), initial=0.0)
-    relative, least = now.barrier / play, _ends_at(play)
+    relative, least = now.barrier / play, _final_barrier(play)
     settled = ~first & (residual <= SETTLED_AT * jnp.maximum(relative, least))
     ends = settled & (relative <= least) & (now.last == 0)
     falls = settled & ~ends & (now.last == 0)
@@ -345,43 +371,43 @@ def _lowered(now: Search, play: Array, first: Array) -> Search:
     )
 
 
-def _ends_at(play: Array) -> Array:
+def _final_barrier(play: Array) -> Array:
     """The last barrier, beside the play; not below what rounding of lengths is beside that."""
     return jnp.maximum(LAST_BARRIER, ROUNDED * jnp.finfo(float).eps / play)
 
 
-def _within(case: Case, measures: Measures, now: Search) -> Search:
+def _step_within_barrier(case: Case, measures: Measures, now: Search) -> Search:
     """The search after a step within the barrier."""
     here, terms_now = now.here, now.here.now
-    free, across = _directions(here.rows)
+    free, across = _loop_projections(here.rows)
     inside, stiff = terms_now.gaps - now.slacks, now.pushing / now.slacks
     # Contacts count with the stiffness that the barrier gives them (source, eq. 11).
     bends = here.bends + (here.gaps.T * stiff) @ here.gaps
     forces = terms_now.balance - here.rows.T @ now.closing - here.gaps.T @ now.pushing
     pull = forces + here.gaps.T @ (now.barrier / now.slacks - stiff * inside)
     closed = -across.T @ terms_now.loops
-    along, split = _downhill(free, bends, pull - bends @ closed)
+    along, split = _descent_step(free, bends, pull - bends @ closed)
     step = closed + along
     closing = across @ (bends @ step - pull)
     slack = here.gaps @ step + inside
     pushing = now.barrier / now.slacks - stiff * slack - now.pushing
     size = jnp.max(jnp.abs(step), initial=0.0)
-    most = jnp.minimum(LONGEST / jnp.maximum(size, LONGEST), _inside(now.slacks, slack))
+    most = jnp.minimum(LONGEST / jnp.maximum(size, LONGEST), _longest_inside(now.slacks, slack))
     trial = _trial(case, measures, now, (forces, step, slack), (terms_now.loops, inside, closing))
-    share = _halved(trial, most)
+    share = _halve_until(trial, most)
     return now._replace(
         q=retract(case.system, now.q, measures.speeds * share * step),
         slacks=now.slacks + share * slack,
-        pushing=now.pushing + _inside(now.pushing, pushing) * pushing,
+        pushing=now.pushing + _longest_inside(now.pushing, pushing) * pushing,
         closing=closing,
         split=now.split | split,
     )
 
 
-def _closed(case: Case, measures: Measures, now: Search) -> Search:
+def _step_on_contacts(case: Case, measures: Measures, now: Search) -> Search:
     """The search after Newton's step on the contacts that carry."""
-    missed = _equations(now.here.now, now.pushing, now.carries)
-    step = -_inverse(_square(now.here, now.carries)) @ missed
+    missed = _residual_vector(now.here.now, now.pushing, now.carries)
+    step = -_pseudo_inverse(_residual_jacobian(now.here, now.carries)) @ missed
     n, m = len(measures.speeds), len(now.closing)
     return now._replace(
         q=retract(case.system, now.q, measures.speeds * step[:n]),
@@ -391,7 +417,7 @@ def _closed(case: Case, measures: Measures, now: Search) -> Search:
     )
 
 
-def _directions(rows: Array) -> tuple[Array, Array]:
+def _loop_projections(rows: Array) -> tuple[Array, Array]:
     """What projects steps to those that leave loops as they are (v, v), and multipliers from forces
     (rows, v): the pseudo-inverse of the rows, transposed."""
     count = rows.shape[1]
@@ -404,7 +430,7 @@ def _directions(rows: Array) -> tuple[Array, Array]:
     return jnp.eye(count) - basis.T @ basis, (left_vectors * inverse) @ right
 
 
-def _downhill(free: Array, bends: Array, pull: Array) -> tuple[Array, Array]:
+def _descent_step(free: Array, bends: Array, pull: Array) -> tuple[Array, Array]:
     """The step along the loops on which the energy falls, and whether there is none although the
     energy falls to both sides."""
     along, largest = free @ bends @ free, jnp.max(jnp.abs(bends), initial=0.0)
@@ -420,7 +446,7 @@ def _downhill(free: Array, bends: Array, pull: Array) -> tuple[Array, Array]:
     return free @ (vectors @ step), jnp.any(saddle)
 
 
-def _inside(values: Array, step: Array) -> Array:
+def _longest_inside(values: Array, step: Array) -> Array:
     """The longest share of a step after which values are above 0 (source, eq. 15)."""
     shrinks = step < 0
     limit = (1 - LEAVES) * values / jnp.where(shrinks, -step, 1.0)
@@ -451,7 +477,7 @@ def _trial(case: Case, measures: Measures, now: Search, moves: tuple, missed: tu
     return is_less
 
 
-def _halved(is_less: Any, most: Array) -> Array:
+def _halve_until(is_less: Any, most: Array) -> Array:
     """The share of a step, halved until it is one that serves."""
     more = lambda now: ~now[2] & (now[1] < HALVINGS)
 
@@ -463,10 +489,10 @@ def _halved(is_less: Any, most: Array) -> Array:
     return jax.lax.while_loop(more, half, first)[0]
 
 
-def _rest(case: Case, measures: Measures, end: Search, start: Rest) -> Rest:
+def _rest_of_search(case: Case, measures: Measures, end: Search, start: Rest) -> Rest:
     """What was found; its equations are those of the last turn but one."""
     carries = end.carries
-    loose, saddle = _loose(end.here, carries)
+    loose, saddle = _freedom_of_speeds(end.here, carries)
     angles = equilibrium.angles_near(case, end.q) if case.angles else start.angles
     return Rest(
         end.q,
@@ -483,7 +509,7 @@ def _rest(case: Case, measures: Measures, end: Search, start: Rest) -> Rest:
 
 def _residual(end: Search) -> Array:
     """What is left of the equations, at the last turn but one."""
-    missed = _equations(end.here.now, end.pushing, end.carries)
+    missed = _residual_vector(end.here.now, end.pushing, end.carries)
     return jnp.max(jnp.abs(missed), initial=0.0)
 
 
@@ -494,11 +520,11 @@ def _is_sound(end: Search) -> Array:
     return (end.last > LAST_TURNS) & (deep <= TINY) & (pulls <= PULLS)
 
 
-def _equations(now: Terms, pushing: Array, carries: Array) -> Array:
+def _residual_vector(now: Terms, pushing: Array, carries: Array) -> Array:
     return jnp.concatenate([now.balance, now.loops, jnp.where(carries, now.gaps, pushing)])
 
 
-def _square(here: Linear, carries: Array) -> Array:
+def _residual_jacobian(here: Linear, carries: Array) -> Array:
     """Derivatives of these equations by speeds, multipliers and normal forces."""
     n, m, k = here.bends.shape[0], len(here.rows), len(here.gaps)
     mask = jnp.where(carries, 1.0, 0.0)
@@ -510,17 +536,17 @@ def _square(here: Linear, carries: Array) -> Array:
     return jnp.concatenate([first, second, third]).reshape(n + m + k, n + m + k)
 
 
-def _inverse(matrix: Array) -> Array:
+def _pseudo_inverse(matrix: Array) -> Array:
     """Pseudo-inverse: the least change where equations follow from others or leave freedoms."""
     size = jnp.maximum(jnp.linalg.norm(matrix), jnp.finfo(float).tiny)
     return jnp.linalg.pinv(matrix, rtol=jnp.maximum(SINGULAR, FLAT / size))
 
 
-def _loose(here: Linear, carries: Array) -> tuple[Array, Array]:
+def _freedom_of_speeds(here: Linear, carries: Array) -> tuple[Array, Array]:
     """How much each free speed takes part in motions that nothing resists, and whether the energy
     falls along one that contacts and loops allow."""
     rows = jnp.concatenate([here.rows, jnp.where(carries[:, None], here.gaps, 0.0)])
-    free = _directions(rows)[0]
+    free = _loop_projections(rows)[0]
     sizes, vectors = jnp.linalg.eigh(free @ here.bends @ free)
     least = FLAT + ROUNDED * jnp.finfo(float).eps * jnp.max(jnp.abs(here.bends), initial=0.0)
     # What is held has no part in the projected directions.
@@ -530,26 +556,26 @@ def _loose(here: Linear, carries: Array) -> tuple[Array, Array]:
     return jnp.sqrt(jnp.sum(parts, axis=1)), jnp.any(is_free & (sizes < -least))
 
 
-def _tangent(arrays: Any, moved: Any, rest: Any, out: Rest, method: ByEnergy) -> Rest:
+def _implicit_tangent(arrays: Any, moved: Any, rest: Any, out: Rest, method: ByEnergy) -> Rest:
     """How the place of rest moves with the numbers of the scene: implicit function theorem."""
-    case = _case(eqx.combine(arrays, rest), out, method)
+    case = _make_case(eqx.combine(arrays, rest), out, method)
     measures = equilibrium.measures_of(case, out.q)
     closing = out.closing * measures.loops / measures.energy
     pushing = out.pushes * measures.arm / measures.energy
 
     def equations(arrays):
-        case_of = _case(eqx.combine(arrays, rest), out, method)
+        case_of = _make_case(eqx.combine(arrays, rest), out, method)
         now = equilibrium.terms(case_of, measures, out.q, closing, pushing)
-        return _equations(now, pushing, out.carries)
+        return _residual_vector(now, pushing, out.carries)
 
     right = jax.jvp(equations, (arrays,), (moved,))[1]
     here = linear(case, measures, out.q, closing, pushing)
-    inverse = _inverse(_square(here, out.carries))
+    inverse = _pseudo_inverse(_residual_jacobian(here, out.carries))
     change = -jnp.sum(inverse * right[None, :], axis=1)
     n, m = len(measures.speeds), len(closing)
     place = lambda step: retract(case.system, out.q, measures.speeds * step)
     q = jax.jvp(place, (jnp.zeros(n),), (change[:n],))[1]
-    still = jax.tree.map(lambda x: _no_tangent(x), out)
+    still = jax.tree.map(lambda x: _zero_tangent(x), out)
     return eqx.tree_at(
         lambda r: (r.q, r.closing, r.pushes),
         still,
@@ -557,7 +583,7 @@ def _tangent(arrays: Any, moved: Any, rest: Any, out: Rest, method: ByEnergy) ->
     )
 
 
-def _no_tangent(value: Array) -> Any:
+def _zero_tangent(value: Array) -> Any:
     """The tangent of what does not move."""
     if jnp.issubdtype(value.dtype, jnp.inexact):
         return jnp.zeros_like(value)

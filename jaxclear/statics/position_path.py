@@ -70,16 +70,24 @@ class Sought(NamedTuple):
 
 
 def sought(mechanism: Mechanism, drives: tuple[str, ...], position: np.ndarray) -> Sought:
-    """Where a mechanism stands with these joints held, at each position (positions, joints).
+    """Where a mechanism stands at each position of its drives, and by which method.
 
-    By its loops where they determine it, with every journal where its own reaction presses it; else
-    by its energy. Raises `ValueError` with a sentence for what cannot be asked, and for the first
-    position that it does not reach.
+    By its loops where they determine it, with every journal where its own reaction presses it;
+    otherwise
+    by its energy.
+
+    Args:
+        mechanism: under its loads.
+        drives: joints and motors that are held.
+        position: their positions, shape (positions, drives) [rad, m].
+
+    Raises:
+        ValueError: for what has no equilibrium, and for the first position that is not reached.
     """
     scene, method = _by_loops(mechanism, drives, position[0])
     if method is not None:
         spots = spots_along(scene, position, method)
-        _check_closed(scene, position, spots.q, lambda i: method.opened(_at(spots.seats, i)))
+        _check_closed(scene, position, spots.q, lambda i: method.opened(_take_at(spots.seats, i)))
         return Sought(scene, method, spots)
     scene = posed(mechanism, drives, loose=True)
     if is_traced((scene, jnp.zeros(1))):
@@ -93,7 +101,7 @@ def sought(mechanism: Mechanism, drives: tuple[str, ...], position: np.ndarray) 
     return Sought(scene, by_energy, spots)
 
 
-def _at(spots: Any, i: int) -> Any:
+def _take_at(spots: Any, i: int) -> Any:
     return jax.tree.map(lambda x: x[i], spots)
 
 
@@ -131,7 +139,7 @@ def _by_loops(mechanism: Mechanism, drives: tuple[str, ...], first: np.ndarray) 
     if rows < free:
         return None, None
     if rows != free:
-        return _with_rows(scene, here, free)
+        return _choose_rows(scene, here, free)
     try:
         method = loop_method(scene)
     except Undetermined:
@@ -139,12 +147,12 @@ def _by_loops(mechanism: Mechanism, drives: tuple[str, ...], first: np.ndarray) 
         return None, None
     return (
         (scene, method)
-        if rank_of(np.asarray(_assembled(here, method)[2])) == free
+        if rank_of(np.asarray(_assemble_spot(here, method)[2])) == free
         else (None, None)
     )
 
 
-def _with_rows(scene: Posed, here: Posed, free: int) -> tuple[Any, Any]:
+def _choose_rows(scene: Posed, here: Posed, free: int) -> tuple[Any, Any]:
     """The scene with as many independent rows as there are free coordinates, and how it is sought;
     None where there are not, or where others do not follow as journals lie in their seats."""
     try:
@@ -153,14 +161,14 @@ def _with_rows(scene: Posed, here: Posed, free: int) -> tuple[Any, Any]:
         return None, None
     method, before = ByLoops(dict.fromkeys(scene.gaps, ())), None
     while method != before:
-        rows = np.asarray(_slopes(here, q, method)[0])
+        rows = np.asarray(_loop_slopes(here, q, method)[0])
         if rank_of(rows) != free:
             return None, None
         chosen = tuple(i for i, new in enumerate(is_new(rows)) if new)
         scene = dataclasses.replace(scene, rows=chosen)
         method, before = moved_by(scene, method), method
     anywhere = {n: tuple(map(PLACES.index, gap.ideal_rows)) for n, gap in scene.gaps.items()}
-    every, shifts = map(np.asarray, _slopes(here, q, ByLoops(anywhere)))
+    every, shifts = map(np.asarray, _loop_slopes(here, q, ByLoops(anywhere)))
     if len(every) != len(rows):
         return None, None
     residual = shifts - rows @ np.linalg.lstsq(rows, shifts, rcond=DEPENDENT)[0]
@@ -179,7 +187,7 @@ def _loops(scene: Posed, q: Array, seats: dict[str, tuple]) -> tuple[Array, Arra
 
 
 @compiled_quickly
-def _slopes(scene: Posed, q: Array, method: ByLoops) -> tuple[Array, Array]:
+def _loop_slopes(scene: Posed, q: Array, method: ByLoops) -> tuple[Array, Array]:
     """How rows of loops change with coordinates and with the seats of journals in the middle, in
     shares of a radian or the longest arm."""
     rows, units = _loops(scene, q, method.opened(method.middle()))
@@ -197,7 +205,7 @@ def _slopes(scene: Posed, q: Array, method: ByLoops) -> tuple[Array, Array]:
     return rows / units[:, None], every / units[:, None]
 
 
-def _assembled(scene: Posed, method: ByLoops) -> tuple[Spot, Any, Any]:
+def _assemble_spot(scene: Posed, method: ByLoops) -> tuple[Spot, Any, Any]:
     start = nearest(scene.mechanism)
     spot = Spot(start.start.coordinates, method.middle(), jnp.zeros(()), jnp.zeros(()))
     system = prepare(scene.mechanism)
@@ -206,11 +214,11 @@ def _assembled(scene: Posed, method: ByLoops) -> tuple[Spot, Any, Any]:
     return spot, start.sound, rows * speed_scales(system, longest_arm(system))
 
 
-def _led(scene: Posed, start: Any, before: np.ndarray, now: np.ndarray, method: Any) -> Any:
+def _lead(scene: Posed, start: Any, before: np.ndarray, now: np.ndarray, method: Any) -> Any:
     """The spot at the next position, led there in steps that are halved where it moves far. Raises
     `ValueError` where it jumps, however short the steps: the sign of the loops' determinant tells
     two ways of assembly apart, and spatial loops may have more of one sign."""
-    scale, spot = _scales(scene), start
+    scale, spot = _coordinate_scales(scene), start
     share, size = 0.0, 1.0 / STEPS_BETWEEN
     while share < 1.0:
         result = method.alone(scene.at(before + (share + size) * (now - before)), spot)
@@ -230,7 +238,7 @@ def _led(scene: Posed, start: Any, before: np.ndarray, now: np.ndarray, method: 
     return spot
 
 
-def _scales(scene: Posed) -> np.ndarray:
+def _coordinate_scales(scene: Posed) -> np.ndarray:
     """What each coordinate's moves are measured by, (coordinates,): the longest arm for lengths
     [m], 1 for angles."""
     system, topology = prepare(scene.mechanism), scene.mechanism.topology
@@ -254,14 +262,23 @@ def _refuse_jump(scene: Posed, now: np.ndarray) -> NoReturn:
 
 
 def spots_along(scene: Posed, position: np.ndarray, method: Any, start: Any = None) -> Any:
-    """Where the mechanism stands at each position, gone through in their order, from a start
-    (None: as it is assembled). Raises `ValueError` for the first that it does not reach."""
+    """Solutions at each position, one after the other.
+
+    Args:
+        scene: the mechanism.
+        position: of the drives, shape (positions, drives).
+        method: by loops or by energy.
+        start: of the search at the first position; None: as the mechanism is assembled.
+
+    Raises:
+        ValueError: for the first position that is not reached.
+    """
     spot, sound = (start, True) if start is not None else _first_spot(scene.at(position[0]), method)
     spots, before = [], position[0]
     for i, now in enumerate(position):
-        spot = _led(scene, spot, before, now, method) if i else method.alone(scene.at(now), spot)
+        spot = _lead(scene, spot, before, now, method) if i else method.alone(scene.at(now), spot)
         if not (sound and spot.change <= SETTLED):
-            _refuse(scene, method, spot, i, now)
+            _refuse_position(scene, method, spot, i, now)
         spots.append(spot)
         before = now
     return jax.tree.map(lambda *parts: jnp.stack(parts), *spots)
@@ -270,12 +287,12 @@ def spots_along(scene: Posed, position: np.ndarray, method: Any, start: Any = No
 def _first_spot(scene: Posed, method: ByLoops) -> tuple[Spot, Any]:
     """Where the search begins, and whether the mechanism is assembled there."""
     if scene.rows is None:
-        return _assembled(scene, method)[:2]
+        return _assemble_spot(scene, method)[:2]
     start = ready(scene.mechanism)[1]
     return Spot(start.coordinates, method.middle(), jnp.zeros(()), jnp.zeros(())), True
 
 
-def _refuse(scene: Posed, method: Any, spot: Any, i: int, now: np.ndarray) -> NoReturn:
+def _refuse_position(scene: Posed, method: Any, spot: Any, i: int, now: np.ndarray) -> NoReturn:
     """Raises `ValueError` for a position at which nothing was found."""
     loops, deep = ({n: float(x) for n, x in x.items()} for x in method.amiss(scene.at(now), spot))
     amiss = {n: x for n, x in (loops | deep).items() if not x <= SETTLED}
@@ -298,7 +315,16 @@ def _refuse(scene: Posed, method: Any, spot: Any, i: int, now: np.ndarray) -> No
 def positions_at(
     scene: Posed, position: Float[Array, "positions drives"], starts: Any, method: Any
 ) -> Positions:
-    """The mechanism at positions of its drives, each from its own start; pure."""
+    """The mechanism at positions of its drives, each from its own start; pure.
+
+    A sample that falls to another mode of assembly than its start's counts as not solved.
+
+    Args:
+        scene: the mechanism.
+        position: of the drives.
+        starts: with a first axis of positions.
+        method: by loops or by energy.
+    """
     spots = method.each(scene, position, starts)
     read = method.read(scene, position, spots)
     finite = jnp.all(jnp.isfinite(spots.q), axis=-1)
@@ -367,8 +393,19 @@ def positions(
 def both(
     scene: Posed, places: Array, starts: Any, method: Any, reverse_loads: bool, others: Any = None
 ) -> Positions:
-    """The positions, with those under reversed loads where these are wanted, from `others` (None:
-    the same starts)."""
+    """The positions, with those under reversed loads where these are wanted.
+
+    Args:
+        scene: the mechanism.
+        places: positions of the drives, shape (positions, drives).
+        starts: with a first axis of positions.
+        method: by loops or by energy.
+        reverse_loads: whether the second are computed.
+        others: their starts; None: the same.
+
+    Raises:
+        ValueError: no load of the mechanism reverses.
+    """
     result = positions_at(scene, places, starts, method)
     if not reverse_loads:
         return result

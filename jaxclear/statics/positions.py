@@ -126,7 +126,7 @@ class Positions(AbstractShown):
         if np.ndim(self.is_solved) > 1:
             return f"A batch of {len(self.is_solved)} at positions each; positions[i] is one."
         places = ", ".join(
-            f"{name} from {values.min():.4g} to {values.max():.4g} {self._unit(name)}"
+            f"{name} from {values.min():.4g} to {values.max():.4g} {self._unit_of(name)}"
             for name, values in zip(self.scene.drives, np.asarray(self.position).T, strict=True)
         )
         both = ", also under reversed loads" if self.other is not None else ""
@@ -256,9 +256,9 @@ class Positions(AbstractShown):
             An xarray Dataset with units and provenance; names "reversed ..." hold values under
             reversed loads, where these were computed.
         """
-        columns = self._columns()
+        columns = self._answer_columns()
         if self.other is not None:
-            other = self.reversed._columns().items()
+            other = self.reversed._answer_columns().items()
             drives = self.scene.drives
             columns |= {f"reversed {name}": values for name, values in other if name not in drives}
         coordinates = {
@@ -279,12 +279,12 @@ class Positions(AbstractShown):
         """
         return write_csv(self.to_dataset(), path)
 
-    def _columns(self) -> dict[str, Column]:
+    def _answer_columns(self) -> dict[str, Column]:
         scene, columns = self.scene, {}
         over, axis = ("position",), ("position", "axis")
         for name in scene.drives:
             columns[name] = Column(
-                over, self.coordinate(name), self._unit(name), "coordinate of a drive"
+                over, self.coordinate(name), self._unit_of(name), "coordinate of a drive"
             )
         for name in scene.mechanism.bodies:
             pose = self.body(name)
@@ -298,7 +298,7 @@ class Positions(AbstractShown):
         columns["found"] = Column(over, self.is_solved, "1", "whether the mechanism closes")
         return columns
 
-    def _unit(self, name: str) -> str:
+    def _unit_of(self, name: str) -> str:
         if name in self.scene.motors:
             return "rad"
         joint: Any = self.scene.mechanism.connections[name].joint

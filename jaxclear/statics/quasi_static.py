@@ -136,9 +136,17 @@ def posed(
     loose: bool = False,
     rows: tuple[int, ...] | None = None,
 ) -> Posed:
-    """The mechanism with these joints and motors held; `loose`: with its clearance joints, not with
-    ideal ones in their place. Raises `ValueError`, naming the joint or coupling, for what has no
-    place under a load or cannot be held."""
+    """The mechanism with joints and motors held, ready for positions.
+
+    Args:
+        mechanism: under its loads.
+        drives: joints and motors that are held.
+        loose: whether clearance joints stay; otherwise ideal ones take their place.
+        rows: which rows of the loops determine the position; None: all.
+
+    Raises:
+        ValueError: a coupling or load has no equilibrium, or a joint cannot be held.
+    """
     for name, coupling in mechanism.couplings.items():
         if coupling.gives and coupling.stiffness is None:
             raise ValueError(
@@ -181,7 +189,7 @@ def posed(
         if isinstance(joint, AbstractPermanentJoint):
             joint = joint.ideal
         if name in drives:
-            joint = _drive_of(name, joint)
+            joint = _driven_joint(name, joint)
         connections[name] = Connection(joint, connection.parent, connection.child)
     start, guess = (_free(mechanism.start_arguments[what], drives) for what in ("start", "guess"))
     loads = at_rest_under(mechanism.loads, drives)
@@ -232,7 +240,7 @@ def _free(values_of: dict[str, tuple], drives: tuple[str, ...]) -> dict[str, tup
     return {name: values for name, values in values_of.items() if name not in drives}
 
 
-def _drive_of(name: str, joint: Any) -> Any:
+def _driven_joint(name: str, joint: Any) -> Any:
     """The joint with its coordinate held."""
     if isinstance(joint, AbstractClearance):
         raise ValueError(
@@ -265,8 +273,17 @@ def shift(seat: tuple) -> Pose:
 
 
 def standing(scene: Posed, q: Any, seats: dict[str, tuple], side: float = 1.0) -> Standing:
-    """The mechanism at coordinates `q` (entries of the state) and seats; `side` -1 reverses the
-    loads, not the springs. Raises `Undetermined`."""
+    """Reactions of a mechanism at rest and the seats to which they press the journals.
+
+    Args:
+        scene: mechanism at one position of its drives.
+        q: coordinates of the tree, scalars.
+        seats: offset and tilt of each journal in its bearing.
+        side: 1, or -1 for reversed loads (not springs).
+
+    Raises:
+        Undetermined: the loops do not determine the position.
+    """
     system = prepare(scene.mechanism, {name: shift(seat) for name, seat in seats.items()})
     count = system.topology.speed_count
     places, rates = unpack_motion(system, [*q, *(0,) * count])
@@ -275,7 +292,7 @@ def standing(scene: Posed, q: Any, seats: dict[str, tuple], side: float = 1.0) -
     every = [row for row_set in rows for row in row_set.jacobian]
     if len(every) < count or (scene.rows is None and len(every) > count):
         raise Undetermined(f"the loops have {len(every)} rows for {count} free coordinates.")
-    residual, jacobian = scene.determining(_residuals(rows)), scene.determining(every)
+    residual, jacobian = scene.determining(_list_residuals(rows)), scene.determining(every)
     loaded, forces = acting(system, motions, places, rates, side)
     transposed = [[row.get(j, 0) for row in jacobian] for j in range(count)]
     multipliers = scene.among(len(every), solved(transposed, unheld(loaded, forces)))
@@ -290,16 +307,27 @@ def standing(scene: Posed, q: Any, seats: dict[str, tuple], side: float = 1.0) -
 def standing_motion(
     scene: Posed, q: Any, seats: dict[str, tuple]
 ) -> tuple[System, tuple[Motion, ...]]:
-    """The mechanism ready, with its journals in these seats, and the motions of its links at
-    coordinates `q`."""
+    """The prepared mechanism with its journals in their seats, and the poses of its links.
+
+    Args:
+        scene: mechanism at one position of its drives.
+        q: coordinates of the tree, scalars.
+        seats: offset and tilt of each journal in its bearing.
+    """
     system = prepare(scene.mechanism, {name: shift(seat) for name, seat in seats.items()})
     places = unpack_motion(system, [*q, *(0,) * system.topology.speed_count])
     return system, kinematics.link_motions(system, *places, 0.0)
 
 
 def residuals_of(scene: Posed, q: Any, seats: dict[str, tuple]) -> list:
-    """What is left of the closure of all loops at coordinates `q` and seats [m, 1]."""
-    return _residuals(loop_rows(*standing_motion(scene, q, seats)))
+    """Residuals of all loops [m, 1].
+
+    Args:
+        scene: mechanism at one position of its drives.
+        q: coordinates of the tree, scalars.
+        seats: offset and tilt of each journal in its bearing.
+    """
+    return _list_residuals(loop_rows(*standing_motion(scene, q, seats)))
 
 
 def loop_rows(system: System, motions: tuple[Motion, ...]) -> list[constraints.ConstraintRows]:
@@ -314,7 +342,7 @@ def open_loops(system: System, motions: tuple[Motion, ...]) -> dict[str, Any]:
     return {n: jnp.max(jnp.abs(sp.stack(rows)), initial=0.0) for n, rows in residuals.items()}
 
 
-def _residuals(rows: list[constraints.ConstraintRows]) -> list:
+def _list_residuals(rows: list[constraints.ConstraintRows]) -> list:
     return [value for rows_of in rows for value in rows_of.residuals]
 
 
@@ -326,9 +354,15 @@ def acting(
     side: Any,
     angles: dict[str, Any] | None = None,
 ) -> tuple[System, Forces]:
-    """What acts on a mechanism at rest, and the mechanism with gravity as it acts; `side` -1
-    reverses loads, but neither springs nor stops nor couplings that give. `angles` [rad]: those
-    near which coordinates outside the tree are read."""
+    """The forces on a mechanism at rest, and the mechanism with gravity as it acts.
+
+    Args:
+        system: prepared mechanism, as `prepare` returns it.
+        motions: of all links, at rest.
+        places, rates: coordinates and speeds (zero), a tuple for each link.
+        side: 1, or -1 to reverse loads; springs, stops and flexible couplings stay.
+        angles: [rad] near which coordinates outside the tree are read, by joint.
+    """
     ask = lambda part: applied_forces(part, motions, {}, places, rates, 0.0, Followed(angles or {}))
     if isinstance(side, float) and side == 1.0:
         return system, ask(system)
@@ -370,7 +404,14 @@ def unheld(system: System, forces: Forces) -> list:
 def reactions_of(
     system: System, forces: Forces, multipliers: tuple, places: tuple
 ) -> dict[str, Reaction]:
-    """Reaction of every connection."""
+    """Reaction of every connection at rest, by name.
+
+    Args:
+        system: with gravity as it acts (`acting`).
+        forces: on the mechanism at rest.
+        multipliers: of the moving rows of all closures.
+        places: coordinates, a tuple for each link.
+    """
     still = Solution(tuple((0,) * len(motion.columns) for motion in forces.motions), multipliers)
     forces = dynamics.with_closures(system, forces, still)
     reactions = {
@@ -441,12 +482,24 @@ class ByLoops(eqx.Module):
         return _settled(scene, start, self)
 
     def each(self, scene: Posed, position: Array, starts: Spot) -> Spot:
-        """Where it stands at positions (positions, drives), each from its own start; pure."""
+        """Solutions at several positions, each from its own start; pure.
+
+        Args:
+            scene: the mechanism.
+            position: of the drives, shape (positions, drives).
+            starts: with a first axis of positions.
+        """
         one = lambda place, start: settle(scene.at(place), start, self)
         return jax.vmap(one)(position, starts)
 
     def read(self, scene: Posed, position: Array, spots: Spot) -> Read:
-        """What is read of the mechanism at positions (positions, drives) and where it stands."""
+        """Coordinates, seats and soundness of solutions at several positions.
+
+        Args:
+            scene: the mechanism.
+            position: of the drives, shape (positions, drives).
+            spots: solutions (`each`).
+        """
         seats = {
             name: jnp.zeros((len(position), SEAT)).at[:, list(numbers)].set(spots.seats[name])
             for name, numbers in self.moving.items()
@@ -508,8 +561,13 @@ def moved_by(scene: Posed, method: ByLoops) -> ByLoops:
 
 
 def next_spot(scene: Posed, spot: Spot, method: ByLoops) -> Spot:
-    """The spot after a turn: seats from the reactions, coordinates by Newton's step on the loops as
-    the new seats have it."""
+    """The next iterate: seats from the reactions, coordinates by a Newton step on the loops.
+
+    Args:
+        scene: mechanism at one position of its drives.
+        spot: the iterate before.
+        method: which seats move, and the side of the loads.
+    """
     now = standing(scene, spot.q, method.opened(spot.seats), method.side)
     seats, system = method.closed(now.seats), now.system
     count, arm = system.topology.speed_count, longest_arm(system)
@@ -527,8 +585,13 @@ def next_spot(scene: Posed, spot: Spot, method: ByLoops) -> Spot:
 
 
 def settle(scene: Posed, start: Spot, method: ByLoops) -> Spot:
-    """The spot at which the loops close and every seat is that of its reaction; pure, with the
-    derivatives of the solved equations with respect to the numbers of the scene."""
+    """The fixed point of `next_spot`; pure, with implicit derivatives by the scene's numbers.
+
+    Args:
+        scene: mechanism at one position of its drives.
+        start: first iterate.
+        method: which seats move, and the side of the loads.
+    """
     arrays, rest = eqx.partition(scene, eqx.is_inexact_array)
 
     @jax.custom_jvp
@@ -542,7 +605,7 @@ def settle(scene: Posed, start: Spot, method: ByLoops) -> Spot:
     @solution.defjvp
     def tangents(primals, moved):
         spot = solution(*primals)
-        return spot, _tangent(primals[0], moved[0], rest, spot, method)
+        return spot, _implicit_tangent(primals[0], moved[0], rest, spot, method)
 
     return solution(arrays, start)
 
@@ -550,7 +613,7 @@ def settle(scene: Posed, start: Spot, method: ByLoops) -> Spot:
 _settled = eqx.filter_jit(settle)
 
 
-def _tangent(arrays: Any, moved: Any, rest: Any, spot: Spot, method: ByLoops) -> Spot:
+def _implicit_tangent(arrays: Any, moved: Any, rest: Any, spot: Spot, method: ByLoops) -> Spot:
     """How the spot moves with the numbers of the scene: implicit function theorem."""
     system = prepare(eqx.combine(arrays, rest).mechanism)
     count = system.topology.speed_count

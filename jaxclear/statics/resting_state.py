@@ -97,9 +97,9 @@ def resting_state(mechanism: Mechanism, worn: Any = None) -> State:
     surfaces = initial_depths(mechanism, worn)
     if not mechanism.topology.clearances:
         return State(surfaces)
-    first = _first_reactions(mechanism)
+    first = _run_first_step(mechanism)
     read = {} if surfaces is None else readings(prepare(mechanism), surfaces)
-    moved, start = _put(first, mechanism, read)
+    moved, start = _assemble_in_seats(first, mechanism, read)
     model = model_of(mechanism, CompliantContact())
     labels = names(model.system, model.layout)
     parts = labels[: model.layout.memory_start], labels[model.layout.remembered]
@@ -115,7 +115,7 @@ def resting_state(mechanism: Mechanism, worn: Any = None) -> State:
     return State(surfaces, motion=motion)
 
 
-def _first_reactions(mechanism: Mechanism) -> Trajectory:
+def _run_first_step(mechanism: Mechanism) -> Trajectory:
     """A run so short that nothing moves, in which all journals touch; without friction where it
     would hang on reactions that are not unique."""
     options: dict[str, Any] = {"save": 2, "integrator": NonColliding(FIRST), "verify": False}
@@ -133,7 +133,7 @@ def _without_friction(mechanism: Mechanism) -> Mechanism:
     return mechanism
 
 
-def _pressed(
+def _pressed_seat(
     first: Trajectory, mechanism: Mechanism, name: str
 ) -> tuple[np.ndarray, np.ndarray, float]:
     """(offset [m] of a journal that its reaction presses to the wall, slope of its axis, sum of the
@@ -152,18 +152,18 @@ def _pressed(
     return np.array(offset, float), np.array(slope, float), float(np.linalg.norm(force))
 
 
-def _put(first: Trajectory, mechanism: Mechanism, read: dict) -> tuple:
+def _assemble_in_seats(first: Trajectory, mechanism: Mechanism, read: dict) -> tuple:
     """(mechanism, its start) with every journal in its seat."""
     if any(isinstance(coupling, AbstractBodyCoupling) for coupling in mechanism.couplings.values()):
         # A journal in its seat by a bearing that is moved would mesh elsewhere.
-        return _at_rest_together(first, mechanism, read)
+        return _solve_rest(first, mechanism, read)
     system = prepare(mechanism)
     connections = dict(mechanism.connections)
     with warnings.catch_warnings(record=True) as doubts:
         for name in mechanism.topology.clearances:
-            offset, slope, load = _pressed(first, mechanism, name)
-            share = _share(system, name, (offset, slope), load, read.get(name, {}))
-            moved = _led_to_seat(connections[name].parent, share * offset, share * slope)
+            offset, slope, load = _pressed_seat(first, mechanism, name)
+            share = _stretch_of_seat(system, name, (offset, slope), load, read.get(name, {}))
+            moved = _marker_at_seat(connections[name].parent, share * offset, share * slope)
             connections[name] = Connection(connections[name].joint, moved, connections[name].child)
     with warnings.catch_warnings():
         # Its numbers have been looked at; where a journal lies is no length of a link.
@@ -173,13 +173,13 @@ def _put(first: Trajectory, mechanism: Mechanism, read: dict) -> tuple:
         assembled, start = ready(put)[:2]
     except ValueError:
         # The loops do not let every journal lie as its own reaction presses it.
-        return _at_rest_together(first, mechanism, read)
+        return _solve_rest(first, mechanism, read)
     for doubt in doubts:
         warn(str(doubt.message), doubt.category)
     return assembled, start
 
 
-def _at_rest_together(first: Trajectory, mechanism: Mechanism, read: dict) -> tuple:
+def _solve_rest(first: Trajectory, mechanism: Mechanism, read: dict) -> tuple:
     """(mechanism, its start) where all journals rest under the reactions that they have while they
     touch. Raises `ValueError` where no such place is found."""
     with warnings.catch_warnings():
@@ -206,12 +206,12 @@ def _reaction(first: Trajectory, mechanism: Mechanism, name: str) -> Pressed:
     return Pressed(*(turn.T @ np.asarray(x[0]) for x in (reaction.force, reaction.torque)))
 
 
-def _share(system: System, name: str, seat: tuple, load: float, worn: dict) -> float:
+def _stretch_of_seat(system: System, name: str, seat: tuple, load: float, worn: dict) -> float:
     """By how much a seat is to be stretched so that the contacts carry the `load` [N]."""
     if load == 0.0:
         return 1.0
     bearing = system.bearings[name]
-    force = eqx.filter_jit(lambda share: _carried(bearing, seat, share, worn))
+    force = eqx.filter_jit(lambda share: _force_of_seat(bearing, seat, share, worn))
     low, high = 0.0, 1.0
     while float(force(high)) < load:
         low, high = high, 2.0 * high
@@ -223,7 +223,7 @@ def _share(system: System, name: str, seat: tuple, load: float, worn: dict) -> f
     return high
 
 
-def _carried(bearing: Any, seat: tuple, share: Any, worn: dict) -> Any:
+def _force_of_seat(bearing: Any, seat: tuple, share: Any, worn: dict) -> Any:
     """Sum of the elastic forces [N] of the contacts of a journal in a stretched seat."""
     joint: AbstractClearance = bearing.joint
     offset, slope = (share * jnp.asarray(x) for x in seat)
@@ -240,7 +240,7 @@ def _carried(bearing: Any, seat: tuple, share: Any, worn: dict) -> Any:
     return sum(forces)
 
 
-def _led_to_seat(marker: Marker, offset: np.ndarray, slope: np.ndarray) -> Marker:
+def _marker_at_seat(marker: Marker, offset: np.ndarray, slope: np.ndarray) -> Marker:
     """A bearing's marker where the journal's is when it lies in its seat."""
     pose = marker.pose()
     turn = np.asarray(sp.dense(pose.rotation), float).reshape(3, 3)
@@ -266,21 +266,26 @@ CLOSING = 4
 
 
 def resting(mechanism: Mechanism, pressed: dict[str, Pressed], worn: dict) -> Array | None:
-    """Coordinates at which the journals rest under these reactions; None where none were found.
-    `worn`: readings of worn surfaces, by joint."""
+    """Coordinates at which journals rest under given reactions; None where they are not reached.
+
+    Args:
+        mechanism: with clearance joints.
+        pressed: reaction of each of them.
+        worn: depth maps as gaps read them, by joint and surface.
+    """
     assembled, start = ready(mechanism)[:2]
     problem = ask(assembled, False)
     arm = float(problem.arm)
     largest = max(float(np.linalg.norm(force.force)) for force in pressed.values())
     if largest == 0.0:
         return start.coordinates
-    at = lambda q: _ground(assembled, q, pressed, worn)
-    moved = lambda q, step: _moved(assembled, q, step)
+    at = lambda q: _potential_at(assembled, q, pressed, worn)
+    moved = lambda q, step: _move_closed(assembled, q, step)
     q, softness = start.coordinates, largest * arm**2 / float(narrowest_gap(problem.system))
     now = at(q)
     for _ in range(MOST_STEPS):
         value, *derivatives, rows = now
-        free = _free(np.asarray(rows))
+        free = _null_space(np.asarray(rows))
         slope, bend = (free.T @ np.asarray(force) for force in derivatives)
         bend = bend @ free
         if np.abs(slope).max(initial=0.0) < RESIDUAL * largest * arm:
@@ -297,7 +302,7 @@ def resting(mechanism: Mechanism, pressed: dict[str, Pressed], worn: dict) -> Ar
     return None
 
 
-def _free(rows: np.ndarray) -> np.ndarray:
+def _null_space(rows: np.ndarray) -> np.ndarray:
     """Directions (v, n) in which no row changes."""
     if not len(rows):
         return np.eye(rows.shape[1])
@@ -307,12 +312,12 @@ def _free(rows: np.ndarray) -> np.ndarray:
 
 
 @compiled_quickly
-def _ground(mechanism: Mechanism, q: Array, pressed: dict[str, Pressed], worn: dict) -> tuple:
+def _potential_at(mechanism: Mechanism, q: Array, pressed: dict[str, Pressed], worn: dict) -> tuple:
     """Potential [J] at coordinates, its gradient and Hessian in the scaled speeds, and the rows
     (rows, v) that hold the loops there."""
     problem = ask(mechanism, False)
     scales = speed_scales(problem)
-    energy = lambda step: _potential(
+    energy = lambda step: _total_potential(
         problem, retract(problem.system, q, scales * step), pressed, worn
     )
     none = jnp.zeros(problem.system.topology.speed_count)
@@ -322,14 +327,14 @@ def _ground(mechanism: Mechanism, q: Array, pressed: dict[str, Pressed], worn: d
 
 
 @compiled_quickly
-def _moved(mechanism: Mechanism, q: Array, step: Array) -> Array:
+def _move_closed(mechanism: Mechanism, q: Array, step: Array) -> Array:
     """Coordinates after a step in the scaled speeds, loops closed."""
     problem = ask(mechanism, False)
     q = retract(problem.system, q, speed_scales(problem) * step)
     return closed(problem, q, 0.0, CLOSING, (LOOP, START))
 
 
-def _potential(problem: Ask, q: Array, pressed: dict[str, Pressed], worn: dict) -> Array:
+def _total_potential(problem: Ask, q: Array, pressed: dict[str, Pressed], worn: dict) -> Array:
     still = jnp.zeros(problem.system.topology.speed_count)
     motions = motions_at(problem, q, still, 0.0)[2]
     total: Any = 0.0
@@ -342,7 +347,7 @@ def _potential(problem: Ask, q: Array, pressed: dict[str, Pressed], worn: dict) 
         # place.
         contact_laws = jax.lax.stop_gradient(contact_laws)
         for laws, depth in zip(contact_laws, depths, strict=True):
-            total = total + _stored(laws.contact.elastic_force, depth)
+            total = total + _stored_energy(laws.contact.elastic_force, depth)
         force, torque = pressed[name]
         axis = sp.transpose(pose.rotation)[2]
         # A lean towards x is a turn about y, one towards y a turn back about x.
@@ -351,7 +356,7 @@ def _potential(problem: Ask, q: Array, pressed: dict[str, Pressed], worn: dict) 
     return total
 
 
-def _stored(force: Any, depth: Any) -> Array:
+def _stored_energy(force: Any, depth: Any) -> Array:
     """Energy [J] of an elastic force at an indentation [m]."""
     points, weights = np.polynomial.legendre.leggauss(POINTS)
     t = jnp.asarray(0.5 * (points + 1))

@@ -1,9 +1,12 @@
-"""The picture of the README: `python notebooks/_figures/readme.py` writes it beside this file."""
+"""The pictures of the README: `python notebooks/_figures/readme.py` writes them beside it."""
 
 from pathlib import Path
 
 import matplotlib
+import matplotlib.image
 import numpy as np
+from matplotlib.backend_bases import MouseEvent
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 import jaxclear as jc
@@ -40,5 +43,51 @@ def picture() -> Figure:
     return figure
 
 
+def arm() -> jc.Mechanism:
+    """Two links that hang from a shoulder, with 1 mm of clearance in the elbow."""
+    elbow = jc.clearance.PlanarJournalBearing(
+        jc.contact.LankaraniNikravesh(restitution=0.9),
+        jc.friction.Ambrosio(mu_kinetic=0.1),
+        bearing_radius=20e-3,
+        clearance=1e-3,
+    )
+    return jc.Mechanism(
+        bodies={
+            "upper arm": jc.Body(2.0, 0.01, (0.15, 0.0)),
+            "forearm": jc.Body(1.0, 0.005, (0.12, 0.0)),
+        },
+        connections={
+            "shoulder": jc.Connection(jc.joint.Revolute(), "ground", "upper arm"),
+            "elbow": jc.Connection(elbow, jc.Marker("upper arm", (0.3, 0.0)), "forearm"),
+        },
+        loads={
+            "gravity": jc.load.Gravity((0.0, -9.81)),
+            "shoulder friction": jc.load.JointSpring("shoulder", damping=0.3),
+        },
+        start={"shoulder": -1.2, "elbow": 0.4},
+    )
+
+
+def live_view() -> np.ndarray:
+    """Pixels of the live view while the forearm is pulled aside."""
+    figure = Figure(figsize=(5.6, 3.2), dpi=160, layout="constrained")
+    canvas = FigureCanvasAgg(figure)
+    view = jc.view(arm(), figure=figure)
+    axis = figure.axes[0]
+
+    def pointer(event: str, x: float, y: float) -> None:
+        at = axis.transData.transform((x, y))
+        canvas.callbacks.process(event, MouseEvent(event, canvas, *at, 1))
+
+    x, y = axis.lines[1].get_xydata()[1]
+    pointer("button_press_event", x, y)
+    for share in np.linspace(0.0, 1.0, 18):
+        pointer("motion_notify_event", x + share * (430 - x), y + share * (20 - y))
+        view.step(1 / 30)
+    return np.asarray(canvas.buffer_rgba())
+
+
 if __name__ == "__main__":
-    picture().savefig(Path(__file__).with_name("four_bar.png"), dpi=85)
+    here = Path(__file__).parent
+    picture().savefig(here / "four_bar.png", dpi=85)
+    matplotlib.image.imsave(here / "live_view.png", live_view())

@@ -131,8 +131,6 @@ def test_boxes_in_closed_form():
         assert found.solved and float(found.residual) < 1e-12
         np.testing.assert_allclose(found.z, expected, rtol=1e-12)
         np.testing.assert_allclose(found.w, (push + expected) * step / mass, atol=1e-15)
-        rounded = BoxedGaussSeidel(relaxation=1e-3).solve(problem)
-        assert rounded.solved and abs(rounded.z[0] - expected) < 2e-3 * 0.2 * load
     frictionless = JointFriction([[1.0]], [1.0], (None,), lambda *_: [(load, 0, 0)], [0.0])
     assert BoxedGaussSeidel().solve(frictionless).z == 0.0
     lost = BoxedGaussSeidel(max_sweeps=1.0).solve(problem)

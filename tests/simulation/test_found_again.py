@@ -77,7 +77,7 @@ def test_runs_of_other_numbers_keep_no_memory(monkeypatch):
     # Of 16 beginnings that stay at hand.
     monkeypatch.setattr(module, "_INITIAL", Latest(3))
     it = copy.copy(slider(3e-4)), pickle.loads(pickle.dumps(slider(3e-4)))
-    assert {one.connections["B"].joint.clearance for one in it} == {3e-4}
+    assert all(one.connections["B"].joint.clearance == 3e-4 for one in it)
 
     def run_often():
         for i in range(4):

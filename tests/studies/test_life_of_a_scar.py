@@ -41,8 +41,9 @@ def test_a_life_knows_what_the_clearance_does_to_it(life):
 
 @pytest.mark.parametrize("clearance", [100e-6, 50e-6, 25e-6])
 def test_a_tight_bushing_costs_no_more_cycles_than_a_wide_one(clearance):
-    """Down to five times the clearance, where levelling between cells is stiff. A life in fifty
-    jumps, by a thousandth off itself, is not further off than is told."""
+    """Down to five times the clearance: levelling between cells is stiff, and was followed by
+    thousands of cycles. Lives in fifty jumps and in half as many, which are of first order and so
+    extrapolated, are not further off than is told."""
     depth, asked = 127e-6, scar(clearance, 36)
     turns = crescent(depth, clearance) / lost(clearance)
     life = jc.wear_life(asked, cycles=turns)
@@ -50,10 +51,11 @@ def test_a_tight_bushing_costs_no_more_cycles_than_a_wide_one(clearance):
     # 36 cells of 10 degrees, of a scar of 76 to 161.
     assert life.at_end("depth") == pytest.approx(depth, rel=0.05)
     assert life.at_end("volume") == pytest.approx(turns * lost(clearance), rel=1e-9)
-    exact = jc.wear_life(asked, cycles=turns, jump=turns / 50)
-    mine, theirs = (each.worn()["B"]["bearing"] for each in (life, exact))
-    off = np.sqrt(np.mean((mine - theirs) ** 2) / np.mean(theirs**2))
-    assert off < life.error + 1e-3
+    jumps = (jc.wear_life(asked, cycles=turns, jump=turns / count) for count in (50, 25))
+    mine, fine, coarse = (each.worn()["B"]["bearing"] for each in (life, *jumps))
+    exact = 2 * fine - coarse
+    off = np.sqrt(np.mean((mine - exact) ** 2) / np.mean(exact**2))
+    assert off < life.error < 20 * off
 
 
 @pytest.mark.parametrize("cells", [16, 288])

@@ -74,7 +74,7 @@ MISTAKES = {
     'no variable "d"': {"d": [1.0]},
     "over of sweep is empty": {},
     'values of "a" in sweep .* a row of finite numbers': {"a": [1.0, np.nan]},
-    'values of "a" in sweep is': {"a": "wide"},
+    'values of "a" in sweep are .wide': {"a": "wide"},
     "a row of finite numbers": {"a": 1.0},
     "over of sweep": ["a"],
 }

@@ -76,7 +76,7 @@ class Flange(AbstractQuantified):
         """
         crown = self._crown
         square = sp.dot(axis[:2], axis[:2])
-        support = self._support(axis[:2], axis[2])
+        support = self._lowest_point(axis[:2], axis[2])
         across = self.radius * self.radius / support
         reach = 0.5 * length + self.clearance + crown - crown * crown * axis[2] / support
         sideways = (*(sp.mul(axis[2], axis[i]) for i in (0, 1)), sp.mul(-1, square))
@@ -94,13 +94,13 @@ class Flange(AbstractQuantified):
         Returns:
             the distance [m].
         """
-        return self._support(slope, 1) - self._crown
+        return self._lowest_point(slope, 1) - self._crown
 
     @property
     def _crown(self) -> Scalar:
         return CROWN * self.clearance
 
-    def _support(self, lean: tuple, along) -> Scalar:
+    def _lowest_point(self, lean: tuple, along) -> Scalar:
         """From the ellipsoid's middle to its lowest point [m]; never 0."""
         leaning = (sp.mul(self.radius, part) for part in lean)
         return rounded_norm(*leaning, width=sp.mul(self._crown, along))
@@ -197,7 +197,7 @@ class PlanarJournalBearing(AbstractJournalBearing):
             overlap = overlap + self.contact.reach
         toward = offset[:2] if self.roundness is None else (x, y)
         for surface in worn:
-            place = toward if surface == "bearing" else _in_frame(axes[0], *toward)
+            place = toward if surface == "bearing" else _to_bearing_axes(axes[0], *toward)
             depth = self.maps()[surface][0].depth_at_end(worn[surface], *place, -1)
             overlap = sp.sub(overlap, depth)
         return (overlap,)
@@ -213,7 +213,7 @@ class PlanarJournalBearing(AbstractJournalBearing):
 
     def features(self, surface, offset, axes, indentations, index):
         x, y, _ = self.touch(offset)
-        place = (x, y) if surface == "bearing" else _in_frame(axes[0], x, y)
+        place = (x, y) if surface == "bearing" else _to_bearing_axes(axes[0], x, y)
         return (*place, 0.0, self.maps()[surface][0].narrowness(indentations[0]), 0.0)
 
     def end_forces(self, force, torque):
@@ -310,7 +310,7 @@ class JournalBearing(AbstractJournalBearing):
         Returns:
             two points [m], in the bearing's frame.
         """
-        slope = _slope(axes[0])
+        slope = _slope_of_axis(axes[0])
         centres = []
         for height in (-0.5 * self.length, 0.5 * self.length):
             rise = sp.sub(height, offset[2])
@@ -319,7 +319,7 @@ class JournalBearing(AbstractJournalBearing):
         return tuple(centres)
 
     def indentations(self, offset, axes, worn):
-        slope = _slope(axes[0])
+        slope = _slope_of_axis(axes[0])
         overlaps = []
         for end, centre in zip((-1, 1), self.end_centres(offset, axes), strict=True):
             x, y, overlap = self.touch(centre)
@@ -327,7 +327,7 @@ class JournalBearing(AbstractJournalBearing):
             if not sp.is_zero(lean):
                 overlap = overlap + 0.5 * self.journal_radius * lean * lean
             for surface in worn:
-                place = (x, y) if surface == "bearing" else _in_frame(axes[1], x, y)
+                place = (x, y) if surface == "bearing" else _to_bearing_axes(axes[1], x, y)
                 overlap = overlap - self.maps()[surface][0].depth_at_end(worn[surface], *place, end)
             overlaps.append(overlap)
         if self.flange is not None:
@@ -358,7 +358,7 @@ class JournalBearing(AbstractJournalBearing):
         here, other = centres[index], centres[1 - index]
         x, y, _ = self.touch(here)
         fall = sp.add(sp.mul(here[0] - other[0], x), sp.mul(here[1] - other[1], y))
-        place = (x, y) if surface == "bearing" else _in_frame(axes[1], x, y)
+        place = (x, y) if surface == "bearing" else _to_bearing_axes(axes[1], x, y)
         narrowness = self.maps()[surface][0].narrowness(indentations[index])
         return (*place, fall, narrowness, float(2 * index - 1))
 
@@ -390,7 +390,7 @@ class JournalBearing(AbstractJournalBearing):
         return -jnp.sign(force) * (self.flange.clearance - self.flange.lowered(slope))
 
 
-def _slope(axis) -> tuple:
+def _slope_of_axis(axis) -> tuple:
     """Slope (dx/dz, dy/dz) of the journal's axis."""
     if isinstance(axis[2], int):
         return axis[:2]
@@ -398,7 +398,7 @@ def _slope(axis) -> tuple:
     return tuple(sp.mul(inverse, component) for component in axis[:2])
 
 
-def _in_frame(journal_x, x, y) -> tuple:
+def _to_bearing_axes(journal_x, x, y) -> tuple:
     """A direction of the bearing's plane in the axes of the (turned) journal."""
     length = sp.norm(journal_x[:2])
     cosine, sine = safe_divide(journal_x[0], length), safe_divide(journal_x[1], length)

@@ -52,7 +52,12 @@ class Lobes(AbstractQuantified):
 
 
 def radius_deviation(lobes: Sequence[Lobes], x: Any, y: Any) -> tuple[Any, Any, Any]:
-    """r, r' and r'' [m] in the direction (x, y) of length 1."""
+    """Deviation of a bore's radius from a circle and its derivatives by the angle, r, r', r'' [m].
+
+    Args:
+        lobes: harmonics of the bore's form.
+        x, y: unit vector of the direction, in the bearing's axes.
+    """
     value, slope, bend = 0.0, 0.0, 0.0
     for part in lobes:
         k = part.number
@@ -74,8 +79,15 @@ def _rotate(x: Any, y: Any, times: int) -> tuple[Any, Any]:
 
 
 def touched(lobes: Sequence[Lobes], clearance: Any, offset: sp.Vec) -> tuple[Any, Any, Any]:
-    """Direction (x, y) in which a journal at `offset` [m] comes nearest to the wall, and its
-    overlap there [m]; exact where the journal touches, below zero where it does not."""
+    """Direction (x, y) in which a journal is nearest to the wall of a lobed bore, and its overlap.
+
+    The overlap [m] is exact where the journal touches, and negative where it does not.
+
+    Args:
+        lobes: harmonics of the bore's form.
+        clearance: mean radial clearance [m].
+        offset: journal's centre in the bearing's frame [m].
+    """
     x, y = direction(offset, 2)
     for _ in range(TURNS):
         value, slope, bend = radius_deviation(lobes, x, y)
@@ -90,7 +102,13 @@ def touched(lobes: Sequence[Lobes], clearance: Any, offset: sp.Vec) -> tuple[Any
 
 
 def leaned(lobes: Sequence[Lobes], clearance: Any, lean: sp.Vec) -> sp.Vec:
-    """Where a journal lies [m] that is pressed in the direction `lean` (length 1, or 0)."""
+    """Position [m] of a journal that is pressed against a lobed bore.
+
+    Args:
+        lobes: harmonics of the bore's form.
+        clearance: mean radial clearance [m].
+        lean: direction of the wall's normal, of length 1 (or 0: no load).
+    """
     x, y = lean[:2]
     value, slope, _ = radius_deviation(lobes, x, y)
     out = clearance + value
@@ -299,7 +317,7 @@ class PermanentRevolute(AbstractPermanentJoint):
             leans = [direction(end.offset, 2) for end in carrying]
             pairs = zip(carrying, leans, strict=True)
             carrying = tuple(end._replace(offset=self.gap.leaned(lean)) for end, lean in pairs)
-        along = self.gap.axial_seat(force[2], _slope(carrying))
+        along = self.gap.axial_seat(force[2], _slope_between_ends(carrying))
         if sp.is_zero(along):
             return carrying
         return tuple(end._replace(offset=(*end.offset[:2], along)) for end in carrying)
@@ -308,7 +326,7 @@ class PermanentRevolute(AbstractPermanentJoint):
         return mu / safe_sqrt(1 + mu * mu)
 
 
-def _slope(ends: tuple[CarryingEnd, ...]) -> tuple:
+def _slope_between_ends(ends: tuple[CarryingEnd, ...]) -> tuple:
     """Slope (dx/dz, dy/dz) of a journal that lies so at its ends."""
     first, last = ends[0], ends[-1]
     if len(ends) == 1:

@@ -111,12 +111,12 @@ class Gear(AbstractBodyCoupling):
 
     def rest(self, pose, drawn):
         if self.transmission_error is None:
-            return self._tangent(pose, drawn)
+            return self._involute_correction(pose, drawn)
         angle = self.angles(pose)[1] - self.angles(drawn)[1]
         error = self.transmission_error(angle) * self.radii(drawn)[1] / self.ratio
-        return sp.add(self._tangent(pose, drawn), error)
+        return sp.add(self._involute_correction(pose, drawn), error)
 
-    def _tangent(self, pose, drawn):
+    def _involute_correction(self, pose, drawn):
         """What involutes add where the axes have moved."""
         if self.pressure_angle is None:
             return 0

@@ -132,7 +132,7 @@ class Capstan(AbstractForceCoupling):
     def states(self):
         return (LoadState("slip", "m"),)
 
-    def _spans(self, values):
+    def _span_extensions(self, values):
         """How much longer the two spans are than at 0 [m], by the values of the coordinates."""
         values = iter(values)
         a, pulley, b = (
@@ -143,8 +143,8 @@ class Capstan(AbstractForceCoupling):
 
     def effect(self, time, positions, speeds, states):
         slack = self.pretension / self.stiffness
-        a, b = (jnp.asarray(x + slack, float) for x in self._spans(positions))
-        rate_a, rate_b = self._spans(speeds)
+        a, b = (jnp.asarray(x + slack, float) for x in self._span_extensions(positions))
+        rate_a, rate_b = self._span_extensions(speeds)
         grip = jnp.exp(self.friction * self.wrap)
         # The slip at which the pull of b, then that of a, is the larger one by the bound.
         by_b, by_a = (grip * a - b) / (1 + grip), (a - grip * b) / (1 + grip)

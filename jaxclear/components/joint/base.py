@@ -452,8 +452,13 @@ def carried_load(ends: tuple[CarryingEnd, ...]) -> Any:
 
 
 def shared_by_ends(force: sp.Vec, torque: sp.Vec, length: Any) -> tuple[tuple[sp.Vec, Any], ...]:
-    """(force across the axis [N], height along it [m]) of the two ends of a bearing of some length
-    [m] that carries a force [N] and a torque [N m] about its centre."""
+    """(force across the axis [N], height along it [m]) at the two ends of a bearing.
+
+    Args:
+        force: on the bearing [N], in its axes (z along).
+        torque: about its centre [N m]; the part across the axis is a pair of forces at the ends.
+        length: of the bearing [m].
+    """
     # About y a torque pairs forces along x, about x the opposite ones along y.
     pair = (sp.mul(1 / length, torque[1]), sp.mul(-1 / length, torque[0]))
     ends = []
@@ -466,8 +471,19 @@ def shared_by_ends(force: sp.Vec, torque: sp.Vec, length: Any) -> tuple[tuple[sp
 def pressed_end(
     index: int, force: sp.Vec, height: Any, ratio: Any, radius: Any, clearance: Any
 ) -> CarryingEnd:
-    """An end of a journal that carries a force = -N n + T t with t a quarter turn ahead of n, the
-    direction in which the journal leans; T = ratio |force|."""
+    """The end of a journal that carries a force, with the direction in which it leans.
+
+    The force is -N n + T t, with n that direction and t a quarter turn ahead of it; T = ratio
+    |force|.
+
+    Args:
+        index: of the contact that carries.
+        force: across the axis [N].
+        height: of the end along the axis [m].
+        ratio: friction along t as a share of the force [1], -1 to 1.
+        radius: of the journal [m].
+        clearance: radial [m].
+    """
     size = sp.norm(force)
     normal = safe_sqrt(1 - ratio * ratio) * size
     x, y = (safe_divide(part, size * size) for part in force[:2])
@@ -479,9 +495,17 @@ def pressed_end(
 
 
 def ball_end(force: sp.Vec, ratio: tuple, radius: Any, clearance: Any) -> CarryingEnd:
-    r"""A ball that carries a force, with friction so that its torque is radius times force size
-    times `ratio`, across the force: :math:`F = -N n + m \times n`, with m the friction's torque
-    over the radius, so that :math:`n = -(N F + m \times F) / |F|^2`."""
+    r"""A ball that carries a force with friction, and the direction in which it leans.
+
+    :math:`F = -N n + m \times n`, with m the friction's torque over the radius, so that
+    :math:`n = -(N F + m \times F) / |F|^2`.
+
+    Args:
+        force: on the ball [N].
+        ratio: friction's torque, a vector across the force, over radius times force [1].
+        radius: of the ball [m].
+        clearance: radial [m].
+    """
     size = sp.norm(force)
     share = sp.norm(ratio)
     normal = safe_sqrt(1 - share * share) * size

@@ -31,7 +31,7 @@ NO_TURN = (1.0, 0.0, 0.0, 0.0)
 
 # What runs once in building; compiled as JAX does, and kept for other processes.
 @functools.partial(compiled_quickly, options={})
-def _rotation_by(x: Any, y: Any, z: Any) -> tuple:
+def _quaternion_of_vector(x: Any, y: Any, z: Any) -> tuple:
     """Quaternion of a rotation vector [rad]."""
     import jaxlie
 
@@ -64,13 +64,13 @@ class Spherical(AbstractGroupJoint):
         return turned(q, increment)
 
     def retracted(self, q, increment):
-        return _unit([a + b for a, b in zip(q, self.rate(q, increment), strict=True)])
+        return _normalise([a + b for a, b in zip(q, self.rate(q, increment), strict=True)])
 
     def bracket(self, a, b):
         return sp.cross(a, b)
 
     def coordinates_at(self, pose):
-        return _quaternion(pose.rotation)
+        return _quaternion_of_matrix(pose.rotation)
 
     def speeds_at(self, pose, velocity, spin):
         return sp.apply_transposed(pose.rotation, spin)
@@ -80,10 +80,10 @@ class Spherical(AbstractGroupJoint):
             # A rotation vector [rad]; one number turns about z.
             turn = [0.0] * (3 - len(values)) + list(values)
             # Numbers, by whose values no program is kept.
-            return _rotation_by(
+            return _quaternion_of_vector(
                 *(x if isinstance(x, jax.Array) else np.asarray(x, float) for x in turn)
             )
-        return complete(self, _with_rotation(values))
+        return complete(self, _check_quaternion(values))
 
 
 class Planar(AbstractGroupJoint):
@@ -160,13 +160,13 @@ class Free(AbstractGroupJoint):
 
     def retracted(self, q, increment):
         place = [a + b for a, b in zip(q, self.rate(q, increment), strict=True)]
-        return (*place[:3], *_unit(place[3:]))
+        return (*place[:3], *_normalise(place[3:]))
 
     def bracket(self, a, b):
         return twist_bracket(a, b)
 
     def coordinates_at(self, pose):
-        return (*pose.translation, *_quaternion(pose.rotation))
+        return (*pose.translation, *_quaternion_of_matrix(pose.rotation))
 
     def speeds_at(self, pose, velocity, spin):
         return (
@@ -177,25 +177,25 @@ class Free(AbstractGroupJoint):
     def start(self, values):
         if len(values) == 3:
             return (*values, *NO_TURN)
-        return complete(self, _with_rotation(values))
+        return complete(self, _check_quaternion(values))
 
     def start_mask(self, values):
         return (True,) * 3 + (len(values) != 3,) * 3
 
 
-def _with_rotation(values: tuple) -> tuple:
+def _check_quaternion(values: tuple) -> tuple:
     """Coordinates that end in a quaternion, which must not be zero."""
     if len(values) >= 4 and all(concrete(x) == 0 for x in values[-4:]):
         raise ValueError(f"ends in a quaternion (w, x, y, z) of zeros; no rotation is {NO_TURN}.")
     return values
 
 
-def _unit(quaternion: list) -> tuple:
+def _normalise(quaternion: list) -> tuple:
     length = jnp.sqrt(sum(x * x for x in quaternion))
     return tuple(x / length for x in quaternion)
 
 
-def _quaternion(rotation: sp.Mat) -> tuple:
+def _quaternion_of_matrix(rotation: sp.Mat) -> tuple:
     matrix = jnp.stack([sp.stack(row) for row in rotation])
     import jaxlie
 
@@ -208,7 +208,7 @@ SERIES_SQUARE = 0.25
 SERIES_TERMS = 7
 
 
-def _series(x: Any, first: int) -> Any:
+def _alternating_series(x: Any, first: int) -> Any:
     """Sum of (-x)^n / (2 n + first)!."""
     out = 1.0 / factorial(2 * SERIES_TERMS + first)
     for n in range(SERIES_TERMS - 1, -1, -1):
@@ -221,15 +221,20 @@ def half_turn(square: Any) -> tuple[Any, Any]:
     small, quarter = square <= SERIES_SQUARE, 0.25 * square
     # A square root of the clamped square: its derivative would be infinite at zero.
     half = 0.5 * jnp.sqrt(jnp.maximum(square, SERIES_SQUARE))
-    cosine = jnp.where(small, _series(quarter, 0), jnp.cos(half))
-    return cosine, 0.5 * jnp.where(small, _series(quarter, 1), jnp.sin(half) / half)
+    cosine = jnp.where(small, _alternating_series(quarter, 0), jnp.cos(half))
+    return cosine, 0.5 * jnp.where(small, _alternating_series(quarter, 1), jnp.sin(half) / half)
 
 
 def lag(square: Any, cosine: Any, sine: Any) -> Any:
-    """(a - sin a) / a^3 from the squared angle and what `half_turn` makes of it."""
+    """(a - sin a) / a^3 of an angle a, by its series where a is small.
+
+    Args:
+        square: a^2 [rad^2].
+        cosine, sine: cos(a/2), and sin(a/2) / a, as `half_turn` returns them.
+    """
     return jnp.where(
         square <= SERIES_SQUARE,
-        _series(square, 3),
+        _alternating_series(square, 3),
         (1.0 - 2.0 * cosine * sine) / jnp.maximum(square, SERIES_SQUARE),
     )
 

@@ -91,7 +91,7 @@ class PlainBearing(AbstractRubbingJoint, AbstractLikeIdeal, AbstractDrivenJoint)
 
     def carrying_ends(self, force, torque, ratio):
         if self.load is not None:
-            return (_clamped(self.load, ratio, (self.radius, 0, 0)),)
+            return (_clamped_end(self.load, ratio, (self.radius, 0, 0)),)
         ends: tuple = (((force[0], force[1], 0), 0),)
         if self.length is not None:
             ends = shared_by_ends(force, torque, self.length)
@@ -163,7 +163,7 @@ class Slideway(AbstractRubbingJoint, AbstractLikeIdeal, AbstractDrivenJoint):
 
     def carrying_ends(self, force, torque, ratio):
         if self.load is not None:
-            return (_clamped(self.load, ratio, sp.ZERO),)
+            return (_clamped_end(self.load, ratio, sp.ZERO),)
         ends: list = [((force[0], force[1], 0), 0)]
         if self.length is not None:
             ends = list(shared_by_ends(force, torque, self.length))
@@ -171,7 +171,7 @@ class Slideway(AbstractRubbingJoint, AbstractLikeIdeal, AbstractDrivenJoint):
             side = (sp.mul(1 / self.width, torque[2]), 0, 0)
             ends += [(side, 0), (tuple(sp.neg(x) for x in side), 0)]
         return tuple(
-            _side(k, sp.norm(f), ratio, f, (0, 0, height)) for k, (f, height) in enumerate(ends)
+            _end(k, sp.norm(f), ratio, f, (0, 0, height)) for k, (f, height) in enumerate(ends)
         )
 
     def friction_ratio(self, mu):
@@ -191,12 +191,12 @@ class Slideway(AbstractRubbingJoint, AbstractLikeIdeal, AbstractDrivenJoint):
         return (0.0,)
 
 
-def _clamped(load: Any, ratio: Any, place: sp.Vec) -> CarryingEnd:
+def _clamped_end(load: Any, ratio: Any, place: sp.Vec) -> CarryingEnd:
     """What a given normal force [N] carries."""
-    return _side(0, load, ratio, (load, 0, 0), place)
+    return _end(0, load, ratio, (load, 0, 0), place)
 
 
-def _side(number: int, normal: Any, ratio: Any, force: sp.Vec, place: sp.Vec) -> CarryingEnd:
+def _end(number: int, normal: Any, ratio: Any, force: sp.Vec, place: sp.Vec) -> CarryingEnd:
     """One contact that a normal force [N] presses."""
     contact = CarriedContact(number, normal, ratio * normal, place)
     return CarryingEnd(place[2], force, sp.ZERO, (contact,))

@@ -134,7 +134,7 @@ def _split_docstring(part: type) -> tuple[str, str, str]:
     return prose, entries, source
 
 
-def _product(
+def _builder(
     name: str, force: type[AbstractElasticForce], factor: type[AbstractDissipation] | None = None
 ) -> Callable[..., ContactForce]:
     """What a user calls `name`: a `ContactForce` from the numbers of its parts. Without a factor of
@@ -180,25 +180,25 @@ def _product(
     return build
 
 
-Hertz = _product("Hertz", elastic.Hertz)
-Linear = _product("Linear", elastic.Linear)
-BallInSocket = _product("BallInSocket", elastic.BallInSocket)
-Johnson = _product("Johnson", cylinder.Johnson)
-TwoSidedJohnson = _product("TwoSidedJohnson", cylinder.TwoSidedJohnson)
-Radzimovsky = _product("Radzimovsky", cylinder.Radzimovsky)
-Goldsmith = _product("Goldsmith", cylinder.Goldsmith)
-Liu = _product("Liu", cylinder.Liu)
-BaiZhao = _product("BaiZhao", cylinder.BaiZhao, dissipation.ZhiyingQishao)
-HuntCrossley = _product("HuntCrossley", elastic.Hertz, dissipation.HuntCrossley)
-LankaraniNikravesh = _product("LankaraniNikravesh", elastic.Hertz, dissipation.LankaraniNikravesh)
-HerbertMcWhannell = _product("HerbertMcWhannell", elastic.Hertz, dissipation.HerbertMcWhannell)
-Flores = _product("Flores", elastic.Hertz, dissipation.Flores)
-ModifiedFlores = _product("ModifiedFlores", elastic.BallInSocket, dissipation.Flores)
-HuGuo = _product("HuGuo", elastic.Hertz, dissipation.HuGuo)
-ZhiyingQishao = _product("ZhiyingQishao", elastic.Hertz, dissipation.ZhiyingQishao)
-CarvalhoMartins = _product("CarvalhoMartins", elastic.Hertz, dissipation.CarvalhoMartins)
-Gonthier = _product("Gonthier", elastic.Hertz, dissipation.Gonthier)
-MarhefkaOrin = _product("MarhefkaOrin", elastic.Hertz, dissipation.MarhefkaOrin)
+Hertz = _builder("Hertz", elastic.Hertz)
+Linear = _builder("Linear", elastic.Linear)
+BallInSocket = _builder("BallInSocket", elastic.BallInSocket)
+Johnson = _builder("Johnson", cylinder.Johnson)
+TwoSidedJohnson = _builder("TwoSidedJohnson", cylinder.TwoSidedJohnson)
+Radzimovsky = _builder("Radzimovsky", cylinder.Radzimovsky)
+Goldsmith = _builder("Goldsmith", cylinder.Goldsmith)
+Liu = _builder("Liu", cylinder.Liu)
+BaiZhao = _builder("BaiZhao", cylinder.BaiZhao, dissipation.ZhiyingQishao)
+HuntCrossley = _builder("HuntCrossley", elastic.Hertz, dissipation.HuntCrossley)
+LankaraniNikravesh = _builder("LankaraniNikravesh", elastic.Hertz, dissipation.LankaraniNikravesh)
+HerbertMcWhannell = _builder("HerbertMcWhannell", elastic.Hertz, dissipation.HerbertMcWhannell)
+Flores = _builder("Flores", elastic.Hertz, dissipation.Flores)
+ModifiedFlores = _builder("ModifiedFlores", elastic.BallInSocket, dissipation.Flores)
+HuGuo = _builder("HuGuo", elastic.Hertz, dissipation.HuGuo)
+ZhiyingQishao = _builder("ZhiyingQishao", elastic.Hertz, dissipation.ZhiyingQishao)
+CarvalhoMartins = _builder("CarvalhoMartins", elastic.Hertz, dissipation.CarvalhoMartins)
+Gonthier = _builder("Gonthier", elastic.Hertz, dissipation.Gonthier)
+MarhefkaOrin = _builder("MarhefkaOrin", elastic.Hertz, dissipation.MarhefkaOrin)
 
 
 class KelvinVoigt(AbstractContactLaw):

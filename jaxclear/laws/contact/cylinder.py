@@ -37,8 +37,16 @@ def length_field() -> Any:
 
 
 def logarithmic_force(indentation, modulus, clearance, length, scale, ratio, offset) -> Scalar:
-    """F [N] with delta = scale F/(pi E* L) (ln(ratio pi E* c L / F) + offset), continued linearly
-    beyond DEEPEST.
+    """F [N] with delta = scale F/(pi E* L) (ln(ratio pi E* c L / F) + offset).
+
+    It is continued linearly beyond DEEPEST.
+
+    Args:
+        indentation: delta [m]; the force is 0 where it is negative.
+        modulus: combined modulus E* [Pa].
+        clearance: radial clearance c [m].
+        length: of the line of contact L [m].
+        scale, ratio, offset: numbers of the particular law [1].
     """
     depth = ratio * clearance * jnp.exp(offset)
     x = positive_part(indentation) / (scale * depth)

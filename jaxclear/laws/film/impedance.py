@@ -49,7 +49,13 @@ def read_harmonics(film: str) -> tuple[tuple[np.ndarray, tuple], ...]:
 
 
 def full_film_scales(e: Any, t: Any, slenderness: Any) -> tuple[Any, Any]:
-    """Damping of the full film along and across the line of centres [1]."""
+    """Damping of the full film along and across the line of centres [1].
+
+    Args:
+        e: eccentricity ratio [1], 0 to 1.
+        t: sqrt(1 - e^2).
+        slenderness: length over diameter of the bearing [1].
+    """
     short, long = 2 / 3 * jnp.pi * slenderness**3, 2 * jnp.pi * slenderness
     t3 = t * t * t
     radial = short * (1 + 2 * e * e) / (t3 * t * t), long / t3
@@ -72,7 +78,14 @@ def parity(e: Any, harmonic: int) -> Any:
 
 
 def cavitated(film: str, e: Any, closing: Any, across: Any, slenderness: Any) -> tuple[Any, Any]:
-    """Force of a fitted film against closing and across."""
+    """Dimensionless force of a cavitated film against closing and across.
+
+    Args:
+        film: name of the fit's table, such as "reynolds".
+        e: eccentricity ratio [1], 0 to 1.
+        closing, across: dimensionless speeds of the journal along and across the line of centres.
+        slenderness: length over diameter of the bearing [1].
+    """
     tables, t = read_harmonics(film), jnp.sqrt((1 - e) * (1 + e))
     count = max(values.shape[1] for values, _ in tables)
     in_t = chebyshev(t, count)

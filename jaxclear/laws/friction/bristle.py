@@ -90,7 +90,7 @@ class AbstractBristleFriction(AbstractForceFriction):
 
     def largest_slope(self, step):
         def share(slip):
-            return self._over_step(0.0, slip, 0.0, step, 0.0)[0]
+            return self._average_over_step(0.0, slip, 0.0, step, 0.0)[0]
 
         return jax.grad(share)(0.0)
 
@@ -101,7 +101,7 @@ class AbstractBristleFriction(AbstractForceFriction):
     def linearised(self, normal_force, bristles, slip, slip_speed, unhindered, step, bias):
         forces, dampings = [], []
         for z, s in zip(bristles, slip, strict=True):
-            mean = lambda s, z=z: self._over_step(z, s, slip_speed, step, bias)[0]
+            mean = lambda s, z=z: self._average_over_step(z, s, slip_speed, step, bias)[0]
             share, slope = jax.jvp(mean, (jnp.asarray(s, float),), (jnp.ones(()),))
             forces.append(-normal_force * share)
             dampings.append(positive_part(normal_force * slope))
@@ -109,7 +109,7 @@ class AbstractBristleFriction(AbstractForceFriction):
 
     def bristles_after(self, normal_force, bristles, slip, slip_speed, step, bias):
         moved = [
-            self._over_step(z, s, slip_speed, step, bias)[1]
+            self._average_over_step(z, s, slip_speed, step, bias)[1]
             for z, s in zip(bristles, slip, strict=True)
         ]
         straightened = [z / (1 + step / RELEASE_TIME) for z in bristles]
@@ -117,20 +117,20 @@ class AbstractBristleFriction(AbstractForceFriction):
             jnp.where(normal_force > 0, m, z) for m, z in zip(moved, straightened, strict=True)
         )
 
-    def _over_step(self, start, slip, slip_speed, step, bias):
+    def _average_over_step(self, start, slip, slip_speed, step, bias):
         """Mean coefficient over a step, and the deflection at its end, which stays in bounds: at a
-        constant slip exact to second order for laws linear in the deflection (`_settled`)."""
+        constant slip exact to second order for laws linear in the deflection (`_decay_factors`)."""
         rate, decay = jax.jvp(
             lambda z: self.deflection_rate(z, slip, slip_speed), (start,), (jnp.ones(()),)
         )
-        grown, mean = _settled(step * jnp.minimum(decay, 0.0))
+        grown, mean = _decay_factors(step * jnp.minimum(decay, 0.0))
         moved, middle = step * rate * grown, step * rate * mean
         end = start + moved
         middle = middle + bias * (moved - middle)
         return self.coefficient(start + middle, rate * grown, slip), end
 
 
-def _settled(x: Scalar) -> tuple[Scalar, Scalar]:
+def _decay_factors(x: Scalar) -> tuple[Scalar, Scalar]:
     """(exp(x) - 1) / x and (exp(x) - 1 - x) / x^2 for x <= 0: what a rate that decays so in a step
     makes of it at its end, and in the mean. Where x is large implicit Euler's instead, which damps:
     exact ones let slip ring that reverses within a step."""

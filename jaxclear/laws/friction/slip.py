@@ -77,7 +77,13 @@ class AbstractSlipFriction(AbstractForceFriction):
 def stribeck_level(
     slip_speed: Scalar, mu_static: Scalar, mu_kinetic: Scalar, stribeck_speed: Scalar
 ) -> Scalar:
-    """Stribeck's curve: from the static coefficient at rest down to the kinetic one."""
+    """Stribeck's curve: from the static coefficient at rest down to the kinetic one [1].
+
+    Args:
+        slip_speed: size of the sliding velocity [m/s], >= 0.
+        mu_static, mu_kinetic: coefficients at rest and at high speed [1].
+        stribeck_speed: speed over which the coefficient falls by 1/e of their difference [m/s].
+    """
     ratio = slip_speed / stribeck_speed
     return mu_kinetic + (mu_static - mu_kinetic) * jnp.exp(-ratio * ratio)
 

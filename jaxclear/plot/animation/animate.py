@@ -50,13 +50,18 @@ def hiding(
     joints: Sequence[tuple[str, str]],
     eye: np.ndarray,
 ) -> set[str]:
-    """Names of the parts whose solid hides one of the `joints` (name, body whose part of it is
-    looked at) from the `eye` [m] at some frame; `moves` (frames, 4, 4), of the ground (1, 4, 4),
-    bring parts into place."""
+    """Names of the parts whose solid hides one of the joints from the eye at some frame.
+
+    Args:
+        parts: solids by body.
+        moves: pose of each body, shape (frames, 4, 4); of the ground (1, 4, 4).
+        joints: (joint, body whose part of it is looked at).
+        eye: position of the camera [m].
+    """
     names: set[str] = set()
     frames = max(len(target) for target in moves.values())
     for frame in np.linspace(0, frames - 1, min(SIGHTS, frames)).astype(int):
-        at = lambda name, points, frame=frame: _moved(points, moves[name][frame % len(moves[name])])
+        at = lambda name, points, frame=frame: _move(points, moves[name][frame % len(moves[name])])
         targets = [_front(at(body, parts[body].joints[name].points), eye) for name, body in joints]
         for name, part in parts.items():
             if name in names or not len(part.solid.points):
@@ -67,7 +72,7 @@ def hiding(
     return names
 
 
-def _moved(points: np.ndarray, matrix: np.ndarray) -> np.ndarray:
+def _move(points: np.ndarray, matrix: np.ndarray) -> np.ndarray:
     return points @ matrix[:3, :3].T + matrix[:3, 3]
 
 
@@ -200,7 +205,7 @@ def animate(
     solids = checked_meshes(run, meshes)
     if importlib.util.find_spec("k3d") is None:
         raise ImportError('an animation needs k3d: python -m pip install "jaxclear[view]".')
-    last = _reached(run)
+    last = _reached_times(run)
     duration = float(run.time[last - 1] - run.time[0])
     if last < 2 or duration <= 0:
         raise ValueError("the run has a single saved instant; save more of them to see it move.")
@@ -210,12 +215,12 @@ def animate(
     time = np.asarray(run.time)[:last] - float(run.time[0])
     frames = np.unique(np.searchsorted(time, moments - 1e-9 * duration).clip(0, last - 1))
     forces = pushes(run, frames, last, size_of(run))
-    data = _script_data(run, frames, last, slower, title) | {"largest": forces.largest}
-    page = _page(run, solids, frames, data, forces, [(m.body, run.marker(m)) for m in trace])
+    data = _data_for_script(run, frames, last, slower, title) | {"largest": forces.largest}
+    page = _html_page(run, solids, frames, data, forces, [(m.body, run.marker(m)) for m in trace])
     return Animation(page, len(frames), duration * slower)
 
 
-def _reached(run: Trajectory) -> int:
+def _reached_times(run: Trajectory) -> int:
     """Saving times that the run reached."""
     finite = np.isfinite(np.asarray(run.states)).all(axis=1)
     inside = np.asarray(run.time) <= float(run.ended) * (1 + 1e-12)
@@ -223,12 +228,12 @@ def _reached(run: Trajectory) -> int:
     return len(good) if good.all() else int(np.argmin(good))
 
 
-def _script_data(
+def _data_for_script(
     run: Trajectory, frames: np.ndarray, last: int, slower: float, title: str | None
 ) -> dict[str, Any]:
     """What the page's own script needs."""
     joints = run.formulation.contact_joints(run.mechanism)
-    colours = _colours(run)
+    colours = _choose_colours(run)
     return {
         "title": title or "",
         "slower": slower,
@@ -243,7 +248,7 @@ def _script_data(
     }
 
 
-def _packed(values: Any) -> dict[str, Any]:
+def _base64_array(values: Any) -> dict[str, Any]:
     """An array in base64: shares of 255 as bytes, everything else as single numbers."""
     if values.dtype == np.uint8:
         return {"shape": values.shape, "u8": base64.b64encode(values.tobytes()).decode()}
@@ -251,7 +256,7 @@ def _packed(values: Any) -> dict[str, Any]:
     return {"shape": array.shape, "f32": base64.b64encode(array.tobytes()).decode()}
 
 
-def _colours(run: Trajectory) -> dict[str, str]:
+def _choose_colours(run: Trajectory) -> dict[str, str]:
     palette = [matplotlib.colors.to_hex(f"C{k}") for k in range(10)]
     palette.pop(7)  # the grey of the ground
     bodies = run.mechanism.bodies
@@ -259,7 +264,7 @@ def _colours(run: Trajectory) -> dict[str, str]:
     return {n: palette[names.index(beam_of(bodies, n)) % len(palette)] for n in bodies}
 
 
-def _page(
+def _html_page(
     run: Trajectory, solids: dict, frames: np.ndarray, data: dict, forces: Pushes, traces: list
 ) -> str:
     """The page: K3D's own, with the script of the insets in it."""
@@ -274,11 +279,11 @@ def _page(
         antialias=3,
         lighting=1.2,
     )
-    size, colours = size_of(run), _colours(run)
+    size, colours = size_of(run), _choose_colours(run)
     time = np.asarray(run.time)[frames].tolist()
     bodies = {n: p for n, p in parts(run, solids, size).items() if len(p.triangles.points)}
-    moves = {name: _moves(run, name, frames) for name in bodies}
-    scene.camera = _camera(run, _reach(bodies, moves))
+    moves = {name: _body_matrices(run, name, frames) for name in bodies}
+    scene.camera = _choose_camera(run, _extreme_points(bodies, moves))
     connections = run.mechanism.connections
     joints = [(one["name"], connections[one["name"]].child.body) for one in data["joints"]]
     joints = [(name, body) for name, body in joints if name in bodies[body].joints]
@@ -292,13 +297,13 @@ def _page(
         for called, (triangles, opacity) in meshes.items():
             if not len(triangles.points):
                 continue
-            mesh = _mesh(triangles, colour, called, opacity)
+            mesh = _make_mesh(triangles, colour, called, opacity)
             if name != GROUND:
                 mesh.model_matrix = {str(t): m for t, m in zip(time, moves[name], strict=True)}
             scene += mesh
     solid, data["arrows"] = arrow(), []
     for name, bodies in zip(forces.names, forces.matrices, strict=True):
-        mesh = _mesh(solid, RED, f"force in {name}")
+        mesh = _make_mesh(solid, RED, f"force in {name}")
         mesh.model_matrix = {str(t): m for t, m in zip(time, bodies, strict=True)}
         data["arrows"].append(mesh.id)
         scene += mesh
@@ -308,34 +313,34 @@ def _page(
         scene += k3d.line(path, color=colour, width=0.004 * size, name=f"path on {name}")
     scene.snapshot_type = "full"
     script = resources.files("jaxclear.plot.animation").joinpath("viewer.js").read_text("utf-8")
-    safe = json.dumps(data, default=_packed).replace("</", "<\\/")
+    safe = json.dumps(data, default=_base64_array).replace("</", "<\\/")
     return scene.get_snapshot(9, additional_js_code=f"const RUN = {safe};\n{script}")
 
 
-def _mesh(part: Triangles, colour: int, name: str, opacity: float = 1.0) -> Any:
+def _make_mesh(part: Triangles, colour: int, name: str, opacity: float = 1.0) -> Any:
     import k3d
 
     arrays = part.points.astype(np.float32), part.corners.astype(np.uint32)
     return k3d.mesh(*arrays, color=colour, name=name, side="double", opacity=opacity)
 
 
-def _reach(bodies: dict[str, Part], moves: dict[str, np.ndarray]) -> np.ndarray:
+def _extreme_points(bodies: dict[str, Part], moves: dict[str, np.ndarray]) -> np.ndarray:
     """Places (n, 3) [m] as far as parts move."""
     places = []
     for name, part in bodies.items():
         some = moves[name][:: max(len(moves[name]) // LOOKS, 1)]
-        ends = _ends(part.triangles.points)
+        ends = _box_corners(part.triangles.points)
         places.append(ends @ some[:, :3, :3].transpose(0, 2, 1) + some[:, None, :3, 3])
     return np.concatenate([one.reshape(-1, 3) for one in places])
 
 
-def _ends(points: np.ndarray) -> np.ndarray:
+def _box_corners(points: np.ndarray) -> np.ndarray:
     """Corners (8, 3) of the box around points."""
     low, high = points.min(axis=0), points.max(axis=0)
     return np.array([np.where([i & 1, i & 2, i & 4], high, low) for i in range(8)])
 
 
-def _moves(run: Trajectory, name: str, frames: np.ndarray) -> np.ndarray:
+def _body_matrices(run: Trajectory, name: str, frames: np.ndarray) -> np.ndarray:
     """Where a body is, as matrices (frames, 4, 4); of the ground a single one."""
     if name == GROUND:
         return np.eye(4, dtype=np.float32)[None]
@@ -347,7 +352,7 @@ def _moves(run: Trajectory, name: str, frames: np.ndarray) -> np.ndarray:
     return matrices
 
 
-def _camera(run: Trajectory, places: np.ndarray) -> list[float]:
+def _choose_camera(run: Trajectory, places: np.ndarray) -> list[float]:
     """Eye, what it looks at, and what is up, to see places (n, 3): onto the plane of motion, or
     with gravity downwards."""
     low, high = places.min(axis=0), places.max(axis=0)
@@ -355,14 +360,14 @@ def _camera(run: Trajectory, places: np.ndarray) -> list[float]:
     if moves_in_plane(run):
         up, towards = np.array([0.0, 1.0, 0.0]), np.array([-0.25, 0.25, 1.0])
     else:
-        up = _upwards(run)
+        up = _up_direction(run)
         side = np.eye(3)[np.argmin(np.abs(up))]
         towards = side + 0.45 * np.cross(up, side) + 0.4 * up
     eye = middle + AWAY * size * towards / np.linalg.norm(towards)
     return [float(x) for x in (*eye, *middle, *up)]
 
 
-def _upwards(run: Trajectory) -> np.ndarray:
+def _up_direction(run: Trajectory) -> np.ndarray:
     """Against gravity; along z without any."""
     for load in run.mechanism.loads.values():
         if isinstance(load, Gravity):

@@ -56,7 +56,14 @@ def arrow() -> Triangles:
 
 
 def pushes(run: Trajectory, frames: np.ndarray, last: int, size: float) -> Pushes:
-    """The arrows of a run over the saving times `frames`, in a mechanism of this size [m]."""
+    """The arrows of contact forces over the frames of an animation.
+
+    Args:
+        run: trajectory.
+        frames: indices of the saving times that are shown.
+        last: number of saving times over which the largest force is taken.
+        size: of the mechanism [m], by which arrows are scaled.
+    """
     placed, names = [], []
     joints = run.formulation.contact_joints(run.mechanism)
     histories = {name: run.contact(name) for name in joints}
@@ -64,15 +71,15 @@ def pushes(run: Trajectory, frames: np.ndarray, last: int, size: float) -> Pushe
     largest = max((float(h.max(initial=0.0)) for h in every), default=0.0)
     for name, history in histories.items():
         forces = np.nan_to_num(np.asarray(history.normal_force)[frames])
-        place, towards = _contacts(run, name, history, frames)
+        place, towards = _contact_places(run, name, history, frames)
         for k, contact in enumerate(history.names):
             names.append(f"{name}, {contact}")
-            placed.append(_matrices(place[:, k], towards[:, k], forces[:, k], largest, size))
+            placed.append(_arrow_matrices(place[:, k], towards[:, k], forces[:, k], largest, size))
     matrices = np.stack(placed) if placed else np.zeros((0, len(frames), 4, 4), np.float32)
     return Pushes(matrices, tuple(names), largest)
 
 
-def _contacts(run: Trajectory, name: str, history: Any, frames: np.ndarray) -> tuple:
+def _contact_places(run: Trajectory, name: str, history: Any, frames: np.ndarray) -> tuple:
     """Places (frames, contacts, 3) [m] of a joint's contacts and directions of the normal forces on
     its journal, in the ground frame."""
     connection = run.mechanism.connections[name]
@@ -94,7 +101,7 @@ def _contacts(run: Trajectory, name: str, history: Any, frames: np.ndarray) -> t
     return origin + place @ turn.transpose(0, 2, 1), -away @ turn.transpose(0, 2, 1)
 
 
-def _matrices(
+def _arrow_matrices(
     place: np.ndarray, towards: np.ndarray, force: np.ndarray, largest: float, size: float
 ) -> np.ndarray:
     """Where the unit arrow is, in which direction, how long and thick, frame by frame."""
@@ -128,8 +135,14 @@ class Worn(NamedTuple):
 
 
 def inset(run: Trajectory, name: str, frames: np.ndarray, last: int) -> dict[str, Any]:
-    """Everything that the inset of a joint shows, over the saving times `frames`; the chart over
-    the first `last`."""
+    """Data that the inset of a joint shows.
+
+    Args:
+        run: trajectory.
+        name: clearance joint.
+        frames: indices of the saving times that are shown.
+        last: number of saving times over which the force is charted.
+    """
     history = run.contact(name)
     joint = run.mechanism.connections[name].joint
     joint = getattr(joint, "gap", joint)
@@ -145,11 +158,11 @@ def inset(run: Trajectory, name: str, frames: np.ndarray, last: int) -> dict[str
         "most": float(every.max(initial=0.0)),
         "peak": float(PeakContactForce(name)(run)),
         "chart": np.array([[np.asarray(run.time)[data[0]], every[data].max()] for data in columns]),
-        "views": VIEWS.get(type(joint), _bars)(run, name, joint, history, frames),
+        "views": VIEWS.get(type(joint), _view_depths)(run, name, joint, history, frames),
     }
 
 
-def _round(
+def _journal_view(
     title: str, centre: np.ndarray, wall: Any, paths: np.ndarray, contacts: list, worn: Worn | None
 ) -> dict[str, Any]:
     """A journal in a hole: its `centre` (frames, 2) [m], the `wall` (directions,) [m], the `ways`
@@ -166,20 +179,20 @@ def _round(
     }
 
 
-def _worn(run: Trajectory, name: str, surface: str) -> np.ndarray | None:
+def _worn_depth(run: Trajectory, name: str, surface: str) -> np.ndarray | None:
     """Depth of a surface [m], None where it does not wear."""
     depth_of = run.worn.get(name, {}).get(surface)
     return None if depth_of is None else np.asarray(depth_of)
 
 
-def _wearing(
+def _wall_over_time(
     run: Trajectory, surface: tuple[str, str], frames: np.ndarray, circle: Callable, cut: Callable
 ) -> Worn | None:
     """A `surface` (joint, its name) along a circle at each of `frames`, all of its depth where it
     does not wear any more; None for one that does not wear. `circle` takes the circle from the
     depth, `cut` from the form in which the gap reads it."""
     name, side = surface
-    worn = _worn(run, name, side)
+    worn = _worn_depth(run, name, side)
     if worn is None:
         return None
     joint: Any = run.mechanism.connections[name].joint
@@ -197,19 +210,19 @@ def _paths(history: Any, frames: np.ndarray, contacts: list, axes: tuple[int, in
     return place / np.maximum(np.linalg.norm(place, axis=-1, keepdims=True), 1e-30)
 
 
-def _wall(joint: Any) -> np.ndarray:
+def _wall_of_joint(joint: Any) -> np.ndarray:
     """Reach of the journal's centre in each direction [m]: the clearance, and lobes."""
     reach = [joint.leaned((np.cos(a), np.sin(a), 0.0))[:2] for a in TURN]
     return np.array(reach, float)
 
 
-def _bore(run: Trajectory, name: str, joint: Any, history: Any, frames: np.ndarray) -> list:
+def _view_bore(run: Trajectory, name: str, joint: Any, history: Any, frames: np.ndarray) -> list:
     """A planar journal."""
     centre = np.asarray(history.offset)[frames, :2]
     along = lambda depth: depth[:, 0]
-    wear = _wearing(run, (name, "bearing"), frames, along, lambda read: read[0][..., 2:-2])
+    wear = _wall_over_time(run, (name, "bearing"), frames, along, lambda read: read[0][..., 2:-2])
     paths = _paths(history, frames, [0], (0, 1))
-    return [_round("across the axis", centre, _wall(joint), paths, [0], wear)]
+    return [_journal_view("across the axis", centre, _wall_of_joint(joint), paths, [0], wear)]
 
 
 def _ends(run: Trajectory, name: str, joint: Any, history: Any, frames: np.ndarray) -> list:
@@ -221,26 +234,26 @@ def _ends(run: Trajectory, name: str, joint: Any, history: Any, frames: np.ndarr
         paths = _paths(history, frames, [end], (0, 1))
         along = lambda depth, end=end: depth[:, -end]
         cut = lambda read, end=end: read[-end][..., 2:-2]
-        wear = _wearing(run, (name, "bearing"), frames, along, cut)
+        wear = _wall_over_time(run, (name, "bearing"), frames, along, cut)
         title = ("lower end", "upper end")[end]
-        views.append(_round(title, place, _wall(joint), paths, [end], wear))
+        views.append(_journal_view(title, place, _wall_of_joint(joint), paths, [end], wear))
     return views
 
 
-def _ball(run: Trajectory, name: str, joint: Any, history: Any, frames: np.ndarray) -> list:
+def _view_ball(run: Trajectory, name: str, joint: Any, history: Any, frames: np.ndarray) -> list:
     """A ball, from above and from the side of its socket."""
     offset = np.asarray(history.offset)[frames]
     wall = float(joint.clearance) * np.stack([np.cos(TURN), np.sin(TURN)], -1)
     view = []
     for title, axes in (("along z: x, y", (0, 1)), ("along y: x, z", (0, 2))):
-        cut = lambda read, axes=axes: _cut(read, axes)
-        wear = _wearing(run, (name, "socket"), frames, cut, cut)
+        cut = lambda read, axes=axes: _cut_through_socket(read, axes)
+        wear = _wall_over_time(run, (name, "socket"), frames, cut, cut)
         paths = _paths(history, frames, [0], axes)
-        view.append(_round(title, offset[:, axes], wall, paths, [0], wear))
+        view.append(_journal_view(title, offset[:, axes], wall, paths, [0], wear))
     return view
 
 
-def _cut(worn: np.ndarray, axes: tuple[int, int]) -> np.ndarray:
+def _cut_through_socket(worn: np.ndarray, axes: tuple[int, int]) -> np.ndarray:
     """Depth (..., cells) along the circle in which a plane through the middle cuts a socket
     (..., around, along): the equator, or the meridians of 0 and 180 degrees."""
     around, along = worn.shape[-2:]
@@ -251,12 +264,12 @@ def _cut(worn: np.ndarray, axes: tuple[int, int]) -> np.ndarray:
     return np.concatenate([here[..., low:], there[..., ::-1], here[..., :low]], axis=-1)
 
 
-def _slot(run: Trajectory, name: str, joint: Any, history: Any, frames: np.ndarray) -> list:
+def _view_slot(run: Trajectory, name: str, joint: Any, history: Any, frames: np.ndarray) -> list:
     """A slider between two walls."""
     return [{"kind": "slot", "title": "along the guide", "of": [0, 1, 2, 3]}]
 
 
-def _bars(run: Trajectory, name: str, joint: Any, history: Any, frames: np.ndarray) -> list:
+def _view_depths(run: Trajectory, name: str, joint: Any, history: Any, frames: np.ndarray) -> list:
     """How deep the contacts of any joint are."""
     count = np.asarray(history.indentation).shape[1]
     return [{"kind": "bars", "title": "indentation", "of": list(range(count))}]
@@ -264,8 +277,8 @@ def _bars(run: Trajectory, name: str, joint: Any, history: Any, frames: np.ndarr
 
 # What is drawn of a joint, by its kind; of a joint of one's own, how deep its contacts are.
 VIEWS: dict[type, Callable] = {
-    PlanarJournalBearing: _bore,
+    PlanarJournalBearing: _view_bore,
     JournalBearing: _ends,
-    BallSocket: _ball,
-    SliderGuide: _slot,
+    BallSocket: _view_ball,
+    SliderGuide: _view_slot,
 }

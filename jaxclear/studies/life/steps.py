@@ -53,10 +53,13 @@ CONFIDENCE = 2.0
 # So many cycles of a life may fail, each shortening its step, before it ends.
 MOST_FAILURES = 6
 # What a step loses is put on in so many parts, and in twice as many until what these may still be
-# off is less than this share of the tolerance: it costs no cycle. Twice as many make an error so
-# many times smaller: where edges of a contact move the least, on smooth walls the most.
+# off is less than this share of the tolerance: it costs no cycle. A loss has the pressure at its
+# end, as in the implicit Euler method, and cycles go forwards and backwards by the same map, not by
+# its adjoint: of first order (Hairer, Lubich & Wanner 2006, doi:10.1007/3-540-30666-8, II.3), so
+# twice as many parts make an error twice as small, whatever few of them look like; where edges of a
+# contact move, by the root of 2 at the least.
 PARTS, MOST_PARTS, OF_TOLERANCE = 8, 64, 0.1
-ORDERS = np.sqrt(2.0), 4.0
+TIMES_SMALLER = np.sqrt(2.0), 2.0
 # Where a step is looked at on its way: more often where a new wall wears fast.
 FRACTIONS = (4**-4, 4**-3, 4**-2, 4**-1, 9 / 16)
 # A surface that wears less than this share of the one that wears most is judged beside that, and a
@@ -64,7 +67,8 @@ FRACTIONS = (4**-4, 4**-3, 4**-2, 4**-1, 9 / 16)
 NEGLIGIBLE = 0.01
 # A normal variable stays within this many deviations in 95 % of cases; errors told are that many.
 NORMAL = 1.96
-# A spline is cubic where it has so many places, and what is apart from it counts so many times.
+# A spline is cubic where it has so many places. What an order extrapolates that three resolutions
+# show counts so many times: Roache 1994, J. Fluids Eng. 116, 405, doi:10.1115/1.2910291.
 PLACES, MARGIN = 5, 1.25
 # Estimates so many times larger than those of smooth rates come of scatter.
 CLEARLY = 1.3
@@ -407,8 +411,8 @@ def _carried(
     while True:
         before, off = ((b - a)[: len(cells.areas)] for a, b in pairwise(rows[-3:]))
         last = np.linalg.norm(off)
-        smaller = np.clip(np.linalg.norm(before) / last if last else np.inf, *ORDERS)
-        off = off / (smaller - 1.0)
+        smaller = np.clip(np.linalg.norm(before) / last if last else np.inf, *TIMES_SMALLER)
+        off = MARGIN * off / (smaller - 1.0)
         sizes = cells.sizes(so_far + rows[-1] - row)
         share = cells.shares(cells.sizes(off), sizes).max(initial=0.0)
         if share <= OF_TOLERANCE * tolerance or parts >= MOST_PARTS:

@@ -76,7 +76,7 @@ def commands() -> Group:
     )
 
 
-def _end(code: int, sentence: str, path: str = "jaxclear") -> None:
+def _exit_with(code: int, sentence: str, path: str = "jaxclear") -> None:
     """Ends the process with a sentence."""
     click.echo(f"{path}: {sentence}", err=True)
     sys.exit(code)
@@ -93,13 +93,13 @@ def main(arguments: list[str] | None = None) -> None:
         if sentence == "Missing command.":
             sentence = f"a command must be named; there are {', '.join(group.commands)}."
         stop = "" if sentence.endswith(("?", ".")) else "."
-        _end(MISTAKEN, f"{sentence}{stop} See {path} --help.", path)
+        _exit_with(MISTAKEN, f"{sentence}{stop} See {path} --help.", path)
     except click.ClickException as error:
-        _end(FAILED, error.format_message())
+        _exit_with(FAILED, error.format_message())
     except (click.Abort, KeyboardInterrupt) as error:
         # A command that keeps its work says where.
         cause = error.__cause__ if isinstance(error, click.Abort) else error
-        _end(INTERRUPTED, str(cause or "") or "interrupted.")
+        _exit_with(INTERRUPTED, str(cause or "") or "interrupted.")
     else:
         if code:
             sys.exit(code)

@@ -18,14 +18,14 @@ def hint(name: str, names: Iterable[str]) -> str:
     return f' Did you mean "{matches[0]}"?' if matches else ""
 
 
-def _flags(command: click.Command) -> list[str]:
+def _option_names(command: click.Command) -> list[str]:
     """Names of the arguments that a command takes by name."""
     return [one for p in command.params if isinstance(p, click.Option) for one in p.opts]
 
 
 def extra_argument(command: click.Command, argument: str) -> str:
     """A sentence for an argument that a command does not take."""
-    flags = _flags(command)
+    flags = _option_names(command)
     listed = ", ".join(flags) or "none"
     return f'no argument "{argument}"; there are {listed}.{hint(argument, flags)}'
 
@@ -36,7 +36,7 @@ def error_sentence(error: click.UsageError) -> str:
     if isinstance(error, click.NoSuchOption) and command:
         return extra_argument(command, error.option_name)
     if isinstance(error, click.BadOptionUsage):
-        return f"{error.option_name}: {_misused(error)}"
+        return f"{error.option_name}: {_describe_misuse(error)}"
     if isinstance(error, click.MissingParameter) and error.param:
         kind = error.param.type.name
         return f"{(error.param.name or '').upper()} is missing; it must be named ({kind})"
@@ -46,7 +46,7 @@ def error_sentence(error: click.UsageError) -> str:
     return error.message
 
 
-def _misused(error: click.BadOptionUsage) -> str:
+def _describe_misuse(error: click.BadOptionUsage) -> str:
     takes = "requires an argument" in error.message
     return "it must have a value" if takes else "it takes no value"
 
@@ -62,12 +62,23 @@ class Read(click.ParamType):
         self.name, self.function = name, function
 
     def convert(self, value: Any, param: Any, ctx: Any) -> Any:
-        """The value; what is no text was made by this function before."""
+        """The value of an argument, from its text; other values are returned unchanged.
+
+        Args:
+            value: text of the command line, or a default.
+            param, ctx: click's, not needed.
+        """
         return self.function(value) if isinstance(value, str) else value
 
 
 def number(least: float, unit: str, above: bool = False) -> Read:
-    """Finite numbers [unit] that are at least `least`, or above it."""
+    """A kind of argument: a finite number with a lower bound.
+
+    Args:
+        least: lower bound.
+        unit: of the number, in messages.
+        above: whether the bound itself is excluded.
+    """
     required = f"a number {'above' if above else 'of at least'} {least:g} {unit}".rstrip()
 
     def read(text: str) -> float:
@@ -110,7 +121,7 @@ def one_of(names: Iterable[str]) -> Read:
     return Read("|".join(names), read)
 
 
-def _folder(text: str) -> Path:
+def _read_folder(text: str) -> Path:
     """A folder that is there or can be made."""
     if not text.strip():
         raise click.BadParameter("is empty; it must be a folder")
@@ -123,7 +134,7 @@ def _folder(text: str) -> Path:
     return path
 
 
-def _store(text: str) -> Path:
+def _read_store(text: str) -> Path:
     """A folder that is there."""
     path = Path(text)
     if not path.is_dir():
@@ -132,7 +143,7 @@ def _store(text: str) -> Path:
     return path
 
 
-def _readable_file(text: str) -> Path:
+def _read_input_file(text: str) -> Path:
     """A file that is there and can be read; where there is none, the one with a like name."""
     path = Path(text)
     if path.is_dir():
@@ -146,7 +157,7 @@ def _readable_file(text: str) -> Path:
     return path
 
 
-def _page(text: str) -> Path:
+def _read_output_file(text: str) -> Path:
     """A file that can be written."""
     path = Path(text)
     if path.is_dir() or not path.parent.is_dir():
@@ -154,12 +165,20 @@ def _page(text: str) -> Path:
     return path
 
 
-page = Read("file", _page)
-store, readable_file = Read("folder", _store), Read("file", _readable_file)
+page = Read("file", _read_output_file)
+store, readable_file = Read("folder", _read_store), Read("file", _read_input_file)
 
 
 def flag(name: str, text: str, kind: Read, default: Any = None, note: str = "") -> click.Option:
-    """An argument by name, with its text for --help; `note`: the default in words."""
+    """An option of a command.
+
+    Args:
+        name: such as "--duration".
+        text: for --help.
+        kind: what it accepts.
+        default: its value where it is not given.
+        note: the default in words, for --help.
+    """
     return click.Option(
         [name], type=kind, default=default, help=text, show_default=note or default is not None
     )
@@ -167,7 +186,7 @@ def flag(name: str, text: str, kind: Read, default: Any = None, note: str = "") 
 
 def out(default: str | None, text: str = "folder for figures and tables") -> click.Option:
     """`--out`: where results are written."""
-    return flag("--out", text, Read("folder", _folder), default)
+    return flag("--out", text, Read("folder", _read_folder), default)
 
 
 def quiet() -> click.Option:
