@@ -75,20 +75,21 @@ def test_runs_of_other_numbers_keep_no_memory(monkeypatch):
         isinstance(each, (jc.Mechanism, jc.Trajectory)) for each in gc.get_objects()
     )
     # Of 16 beginnings that stay at hand.
-    monkeypatch.setattr(module, "_INITIAL", Latest(3))
+    monkeypatch.setattr(module, "_INITIAL", Latest(2))
     it = copy.copy(slider(3e-4)), pickle.loads(pickle.dumps(slider(3e-4)))
     assert all(one.connections["B"].joint.clearance == 3e-4 for one in it)
 
     def run_often():
-        for i in range(4):
+        for i in range(2):
             run(slider(3.1e-4 + 1e-9 * i))
             copy.copy(run(slider(3e-4)))
             pickle.loads(pickle.dumps(slider(3e-4)))
         gc.collect()
         return counted()
 
-    first = run_often()
-    assert run_often() <= first
+    # By the second time what else stays at hand is full.
+    _, before, after = [run_often() for _ in range(3)]
+    assert after <= before
 
 
 def test_the_last_answer_stays_however_large():

@@ -178,12 +178,10 @@ def lose(surface, volume, event):
 @pytest.mark.parametrize("kind", ["line", "ball", "guide"])
 def test_the_error_of_a_scar_narrower_than_a_cell_is_that_of_its_contact(kind):
     """Hertz's pressure over the contact's own width."""
-    depths = []
+    depths, worn = [], jax.jit(lose)
     for coarseness in (2.0, 1.0):
         surface, place, true = narrow_events(kind, coarseness)
-        event = jnp.full(1, LOST), jnp.asarray(place)[None]
-        worn = jax.jit(lambda *event, surface=surface: lose(surface, *event))
-        depth, deepest = worn(*event)
+        depth, deepest = worn(surface, jnp.full(1, LOST), jnp.asarray(place)[None])
         depths.append(float(deepest))
     coarse, fine = depths
     factor = factor_of_cells(surface, jnp.asarray(place), depth, 1.0)

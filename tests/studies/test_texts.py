@@ -99,14 +99,12 @@ def scaled(function):
     def inner(x):
         return EDIT * function(x)
     return inner
-
 @scaled
 def f(x): return x""",
     "a decorator that is a class": """
 class Scaled:
     def __init__(self, function): functools.update_wrapper(self, function)
     def __call__(self, x): return EDIT * self.__wrapped__(x)
-
 f = Scaled(lambda x: x)""",
     "a method": "class L:\n    k = 1.0\n    def __call__(self, x): return EDIT * x\nf = L()",
     "a class without numbers": "class L:\n    def __call__(self, x): return EDIT * x\nf = L()",
@@ -123,23 +121,19 @@ f = L()""",
 class L:
     def __init__(self): self.k = EDIT
     def m(self, x): return self.k * x
-
 f = L().m""",
     "a partial": "f = functools.partial(lambda k, x: k * x, EDIT)",
     "a parent": """
 class P:
     def h(self, x): return EDIT * x
-
 class L(P):
     def __call__(self, x): return self.h(x)
-
 f = L()""",
     "an operator": "class L:\n    def __getitem__(self, i): return EDIT * i\nf = L()",
     "a cached property": """
 class L:
     @functools.cached_property
     def k(self): return EDIT
-
 f = L()""",
     "a property": "class L:\n    @property\n    def k(self): return EDIT\nf = L()",
     "a static method": "class L:\n    @staticmethod\n    def k(): return EDIT\nf = L()",
@@ -148,40 +142,33 @@ f = L()""",
 class L(eqx.Module):
     k: float
     def __call__(self, x): return EDIT * self.k * x
-
 f = L(1.0)""",
     "an array": "f = jnp.arange(EDIT)",
     "a class that shows itself": """
 class L:
     def __init__(self): self.k = EDIT
     def __repr__(self): return "L()"
-
 f = L()""",
     "what a class does that shows itself": """
 class L:
     def __repr__(self): return "L()"
     def __call__(self, x): return EDIT * x
-
 f = L()""",
     "a slot": "class L:\n    __slots__ = ('k',)\n    def __init__(self): self.k = EDIT\nf = L()",
     "a private slot of a parent": """
 class P:
     __slots__ = ("__k",)
     def __init__(self): self.__k = EDIT
-
 class L(P):
     __slots__ = ()
-
 f = L()""",
     "a dictionary of its own": """
 class L(dict):
     def k(self): return EDIT
-
 f = L(a=1.0)""",
     "a tuple that holds more": """
 class L(tuple):
     pass
-
 f = L((1.0,))
 f.k = EDIT""",
 }
