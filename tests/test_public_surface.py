@@ -7,6 +7,7 @@ import importlib
 import inspect
 import json
 import pkgutil
+import pydoc
 import re
 from pathlib import Path
 from types import ModuleType
@@ -216,6 +217,16 @@ def test_signatures_name_types_as_they_are_typed():
     shown = [str(inspect.signature(f)) for f in functions if f.__name__ in jaxclear.__all__]
     assert shown and not re.findall(r"jaxclear(?:\.[a-z_]+){2,}", " ".join(shown))
     assert "mechanism: jaxclear.Mechanism" in " ".join(shown)
+
+
+@pytest.mark.parametrize("kind", [jaxclear.Problem, jaxclear.Trajectory, jaxclear.joint.Revolute])
+def test_help_of_a_class_shows_what_users_call(kind):
+    """Special methods are Python's and equinox's; a page of them hid those of a class."""
+    page = pydoc.render_doc(kind, renderer=pydoc.plaintext)
+    assert not re.findall(r"__\w+__", page)
+    head, summary = page.split("\n")[3], kind.__doc__.split("\n")[0]
+    assert not re.findall(r"jaxclear(?:\.[a-z_]+){2,}", head)
+    assert summary in "\n".join(page.split("\n")[:6])
 
 
 if __name__ == "__main__":

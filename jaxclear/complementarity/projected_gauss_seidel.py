@@ -1,11 +1,16 @@
-"""Projected Gauss-Seidel: sweeps over the contacts, each solved exactly, then Newton's method for
-all at once whenever it comes nearer.
+"""Projected Gauss-Seidel: a sweep over the contacts, each solved exactly, then Newton's method for
+all at once as long as it comes nearer; where it does not, the next sweep.
 
 The step of Newton's method is the semismooth one, with the generalised Jacobian of Alart and
-Curnier in the states in which the sweeps leave the contacts. Sources: Jourdan, Alart & Jean 1998,
-Comput. Methods Appl. Mech. Eng. 155, 31, doi:10.1016/S0045-7825(97)00137-0 (sweeps); Alart &
-Curnier 1991, doi:10.1016/0045-7825(91)90022-X (Newton). Plain operations on small arrays only, a
-row at a time, so that a time loop with these iterations stays one kernel of machine code.
+Curnier in the states in which the contacts are. It is damped by a multiple of the change of
+reactions, added to the velocities of contacts that stick and to the slip of those that slide, as
+Levenberg and Marquardt do: redundant contacts leave its matrix singular, and a body that is light
+beside another nearly so. It is halved until it misses the laws by less. Sources: Jourdan, Alart &
+Jean 1998, Comput. Methods Appl. Mech. Eng. 155, 31, doi:10.1016/S0045-7825(97)00137-0 (sweeps);
+Alart & Curnier 1991, doi:10.1016/0045-7825(91)90022-X (Newton); Nocedal & Wright 2006, Numerical
+Optimization, section 10.3, doi:10.1007/978-0-387-40065-5 (damping). Plain
+operations on small arrays only, a row at a time, so that a time loop with these iterations stays
+one kernel of machine code.
 """
 
 from typing import Any, NamedTuple
@@ -28,10 +33,13 @@ from jaxclear.complementarity.problem import AbstractSolver, Outcome, Solution, 
 from jaxclear.ground.factorisation import eliminate
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.quantity import Scalar, quantity
+from jaxclear.ground.tangents import apply_if
 
-# Sweeps between two tries of Newton's method, which a kernel leaves out beyond so many unknowns:
-# there its elimination is written out.
-SWEEPS, LARGEST_ELIMINATED = 2, 24
+# Unknowns beyond which a kernel leaves Newton's method out: there its elimination is written out.
+LARGEST_ELIMINATED = 24
+# How often a step of Newton's method is halved before a sweep takes its place, and the factor by
+# which its damping [1], at least `REGULAR`, rises and falls with its success.
+HALVINGS, STEP_OF_DAMPING = 3, 10.0
 
 
 class Iterate(NamedTuple):
@@ -149,49 +157,66 @@ def _sweep_until(
     problem: Scaled, start: tuple, max_sweeps: Any, tolerance: Any, in_kernel: bool
 ) -> tuple[tuple, Array, Array]:
     """(reactions by contact, residual, sweeps)."""
+    eliminates = not in_kernel or sum(map(len, start)) <= LARGEST_ELIMINATED
 
     def unfinished(carry):
-        _, residual, _, sweeps = carry
+        _, residual, _, _, sweeps = carry
         return (residual > tolerance) & (sweeps < max_sweeps)
 
+    def swept(carry):
+        r = _sweep(problem, carry[0])
+        return r, _residual(problem, r)
+
     def improve(carry):
-        r, _, best, sweeps = carry
-        r = jax.lax.fori_loop(0, SWEEPS, lambda _, r: _sweep(problem, r), r)
-        residual = _residual(problem, r)
-        if not in_kernel or sum(map(len, r)) <= LARGEST_ELIMINATED:
-            newton_reactions = _newton_step(problem, r, in_kernel)
-            newton_residual = _residual(problem, newton_reactions)
-            # Steps that are no better than what was known would lead round in circles.
-            nearer = newton_residual < 0.5 * jnp.minimum(best, residual)
-            r = tuple(jnp.where(nearer, a, b) for a, b in zip(newton_reactions, r, strict=True))
-            residual = jnp.where(nearer, newton_residual, residual)
-        return r, residual, jnp.minimum(best, residual), sweeps + SWEEPS
+        r, residual, nearer, damping, sweeps = carry
+        r, residual = apply_if(~nearer, swept, (r, residual))
+        if eliminates:
+            moved, left = _damped_newton_step(problem, r, residual, damping, in_kernel)
+            nearer = left < residual
+            worse = jnp.maximum(STEP_OF_DAMPING * damping, residual)
+            damping = jnp.clip(jnp.where(nearer, damping / STEP_OF_DAMPING, worse), REGULAR, 1.0)
+            r = tuple(jnp.where(nearer, a, b) for a, b in zip(moved, r, strict=True))
+            residual = jnp.where(nearer, left, residual)
+        return r, residual, nearer, damping, sweeps + 1
 
     none, first = jnp.zeros((), int), _residual(problem, start)
     if len(start) == 1:
         # A single contact is solved by one sweep.
         still = first <= tolerance
-        swept = _sweep(problem, start)
-        reactions = tuple(jnp.where(still, a, b) for a, b in zip(start, swept, strict=True))
+        swept_once = _sweep(problem, start)
+        reactions = tuple(jnp.where(still, a, b) for a, b in zip(start, swept_once, strict=True))
         return reactions, _residual(problem, reactions), jnp.where(still, none, none + 1)
-    reactions, residual, _, sweeps = jax.lax.while_loop(
-        unfinished, improve, (start, first, first, none)
-    )
+    carry = (start, first, jnp.asarray(False), jnp.asarray(REGULAR), none)
+    reactions, residual, _, _, sweeps = jax.lax.while_loop(unfinished, improve, carry)
     return reactions, residual, sweeps
 
 
-def _newton_step(problem: Scaled, r: tuple, in_kernel: bool) -> tuple:
-    """A step of Newton's method for all contacts in the states they are in, brought back into their
-    cones.
+def _damped_newton_step(
+    problem: Scaled, r: tuple, residual: Array, damping: Any, in_kernel: bool
+) -> tuple[tuple, Array]:
+    """(reactions, residual) behind a damped step of Newton's method for all contacts in the states
+    they are in, brought back into their cones, and halved until it misses the laws by less or
+    `HALVINGS` are used up.
     """
-    laws, lines = linearised(problem, r, 0.0, REGULAR)
+    laws, lines = linearised(problem, r, 0.0, damping)
     value = jnp.concatenate([law.value for law in laws])
     if in_kernel:
         change = jnp.stack(eliminate(lines, value))
     else:
         change = jnp.linalg.solve(jnp.stack(lines), value)
     ends = np.cumsum([len(part) for part in r]).tolist()
-    return tuple(
-        project_on_cone(part - change[e - len(part) : e], problem.mu[i])
-        for i, (part, e) in enumerate(zip(r, ends, strict=True))
-    )
+
+    def shorter(carry):
+        share, *_, halvings = carry
+        moved = tuple(
+            project_on_cone(part - share * change[e - len(part) : e], problem.mu[i])
+            for i, (part, e) in enumerate(zip(r, ends, strict=True))
+        )
+        return 0.5 * share, moved, _residual(problem, moved), halvings + 1
+
+    def unfinished(carry):
+        return (carry[2] >= residual) & (carry[3] <= HALVINGS)
+
+    first = (jnp.ones(()), r, residual, jnp.zeros((), int))
+    _, moved, left, _ = jax.lax.while_loop(unfinished, shorter, first)
+    return moved, left

@@ -183,6 +183,22 @@ class AbstractIntegrator(AbstractQuantified):
         """
         return states
 
+    def law_residual(self, model: Model, warm_start: Any) -> Scalar | None:
+        """By how much steps have missed the laws of contact and friction that they solve.
+
+        Args:
+            model: the mechanism, a `Model`.
+            warm_start: what the last interval has returned, a tree of arrays.
+
+        Returns:
+            the largest residual of all steps, relative to the largest velocity, or to the bound of
+            the friction [1]; None where steps solve for nothing.
+        """
+        formulation = self.formulation
+        if not formulation.forces_are_means or not formulation.impulses(model.system):
+            return None
+        return jax.tree.leaves(warm_start)[0][-1]
+
     @property
     def opens_loops(self) -> bool:
         """Whether its steps open loops by more than rounding, so that it closes them anew after
@@ -375,10 +391,8 @@ def searching_steps(
         return end, (last, watched(watch, model, time, h, state, end))
 
     state, warm_start = carry
-    (first, *others), structure = jax.tree.flatten(warm_start)
-    first_carry = jax.tree.unflatten(structure, [first.at[-1].set(0.0), *others])
     watch = watch_from(model, interval.start, state)
-    state, (warm_start, watch) = march(one, steps, state, (first_carry, watch))
+    state, (warm_start, watch) = march(one, steps, state, (warm_start, watch))
     answer = arrived(state, steps, warm_start, None, watch)
     residual = jax.tree.leaves(warm_start)[0][-1]
     failed = (answer.outcome == Outcome.REACHED) & (residual > loose)

@@ -186,6 +186,18 @@ class Check(AbstractCheck):
         "for which no contact law was made: look at stiffness, loads and start",
         (1.0, Outcome.PENETRATION_EXCEEDED),
     )
+    # Of steps that solve for percussions or friction: the largest of all steps, relative to the
+    # largest velocity of the contacts, or to the bound of the friction. A millionth is far above
+    # what solvers end at, and below the error of any step.
+    LAW_RESIDUAL = (
+        33,
+        "residual of contact laws",
+        1e-6,
+        "motion",
+        MECHANISM,
+        "steps missed the laws of contact and friction by up to {figure:.2g} (limit {limit:g}): "
+        "their search ended before its tolerance; take shorter steps, or more max_sweeps",
+    )
     LOAD_STEP = (
         21,
         "load step",

@@ -297,8 +297,9 @@ class MoreauJean(AbstractIntegrator):
         theta: weight of a step's end in its mean speed [1], >= 0 and <= 1; 1/2 conserves the energy
             of smooth motion.
         gamma: share of a step within which a gap must close to count as closed [1], >= 0.
-        max_sweeps: largest number of sweeps over the contacts in a step [1], >= 1; where they end
-            far from the laws, the run ends and says so.
+        max_sweeps: largest number of sweeps over the contacts, or steps of Newton's method for all,
+            in a step [1], >= 1; where they end before `tolerance` a run says by how much the laws
+            are missed (`Check.LAW_RESIDUAL`), and ends where that is far.
         tolerance: residual of the contact laws relative to the largest velocity at which sweeps end
             [1], > 0.
         project: whether to move apart what overlaps by more than it would part or fall in a step,

@@ -135,18 +135,21 @@ def look(history: StateHistory, model: Model) -> Looks:
     return Looks(intervals, *constant((history, model)))
 
 
-def judged(trajectory: Trajectory, model: Model, initial: Worn) -> Trajectory:
+def judged(trajectory: Trajectory, model: Model, initial: Worn, residual: Any = None) -> Trajectory:
     """The run with its checks; it ends early where one of them calls for it.
 
     Args:
         trajectory: whose saved states are looked at.
         model: of the run.
         initial: depth maps [m] at its start.
+        residual: that of the laws for which steps solve (None: they solve for none).
     """
     history = trajectory.history
     looks, ends = look(history, model), jnp.asarray(history.time)[1:]
     figures, of_run, verdict = _figures_of_looks(looks)
     of_run |= wear_by_cells(model, initial, trajectory.worn)
+    if residual is not None:
+        of_run[Check.LAW_RESIDUAL] = jnp.atleast_1d(residual)
     if trajectory.extremes is not None and trajectory.extremes.contacts:
         depths = trajectory.extremes.indentation[: model.layout.joint_contacts]
         of_run[Check.INDENTATION] = depths / contact_radii(model.system) if depths.size else depths

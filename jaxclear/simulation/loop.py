@@ -186,7 +186,8 @@ def run(
         noted = noted._replace(counts=noted.counts * (times[:-1] <= last.ended)[:, None])
     extremes = largest_of(mechanism, model, last)
     ends = history, last.worn, last.outcome, last.ended, stats
-    return judged(Trajectory(*ends, extremes=extremes, noted=noted), model, worn)
+    residual = integrator.law_residual(model, last.warm_start)
+    return judged(Trajectory(*ends, extremes=extremes, noted=noted), model, worn, residual)
 
 
 def largest_of(mechanism: Mechanism, model: Model, last: Carry) -> Extremes | None:

@@ -93,8 +93,7 @@ def draw(
 
 
 class Drawing:
-    """A sample that is drawn piece by piece, cheapest in the order of its numbers; by one thread at
-    a time."""
+    """A sample that is drawn piece by piece, in any order."""
 
     def __init__(self, problem: Problem, seed: int, sampling: str, scramblings: int):
         self.inputs, self.count = problem.inputs, len(problem.names)

@@ -13,6 +13,7 @@ import pytest
 
 import jaxclear as jc
 from jaxclear.components.clearance import AbstractClearance, ContactCandidate, ContactLaws
+from jaxclear.integrators.checks import Check
 from jaxclear.laws.contact import AbstractNormalLaw
 from jaxclear.laws.stiffness import Shape
 from jaxclear.multibody.assembly import guess
@@ -353,7 +354,7 @@ def test_projection_puts_no_work_into_a_driven_mechanism():
 def test_a_mean_force_does_not_hang_on_how_often_it_is_saved():
     mean = jc.response.MeanContactForce("B")
     rig = journal(0.9, 0.2, speeds=(0.3, 0.2, 5.0), gravity=(0.0, -GRAVITY))
-    found = [float(mean(simulate(rig, 0.1, save=save))) for save in (101, 21, 3)]
+    found = [float(mean(simulate(rig, 0.1, save=save))) for save in (21, 3)]
     np.testing.assert_allclose(found, found[0], rtol=1e-9)
 
 
@@ -377,19 +378,6 @@ def test_sentences_name_the_joint():
     with pytest.raises(ValueError, match='joint "B" has friction Mine.*friction.Coulomb'):
         rubbing = jc.clearance.PlanarJournalBearing(jc.contact.Rigid(), Mine())
         jc.simulate(held(rubbing), 0.1, integrator=jc.integrator.MoreauJean())
-
-
-@pytest.mark.parametrize(
-    ("settings", "sentence"),
-    [
-        ({"step": 0.0}, "integrator.MoreauJean has step = 0"),
-        ({"theta": 1.5}, "theta"),
-        ({"theta": -0.1}, "theta"),
-    ],
-)
-def test_bad_settings_are_refused(settings, sentence):
-    with pytest.raises(ValueError, match=sentence):
-        jc.integrator.MoreauJean(**settings)
 
 
 @pytest.mark.slow
@@ -503,3 +491,27 @@ def test_corners_that_strike_within_a_step_strike_one_after_the_other(pitch, res
 def test_corners_that_touch_at_once_strike_at_once():
     speed, spin = landed(0.0, 0.5)
     assert speed == pytest.approx(0.5 * FALL, rel=1e-9) and abs(spin) < 1e-9
+
+
+@pytest.mark.parametrize("sweeps", [1, 20])
+def test_steps_that_miss_their_laws_are_told(sweeps):
+    """A slider that falls askew on the walls of its guide and rubs: one sweep is not enough."""
+    guide = jc.clearance.SliderGuide(
+        jc.contact.Rigid(restitution=0.4),
+        jc.friction.Coulomb(mu_kinetic=0.2),
+        width=0.02,
+        length=2 * HALF_LENGTH,
+        clearance=GAP,
+    )
+    rig = jc.Mechanism(
+        {"slider": jc.Body(SLIDER, 1e-4)},
+        {"G": jc.Connection(guide, "ground", "slider", axis="x")},
+        {"gravity": jc.load.Gravity((0.3, -9.81))},
+        speeds={"slider": (0.2, -0.05, 1.0)},
+    )
+    integrator = jc.integrator.MoreauJean(2e-4, max_sweeps=sweeps)
+    run = jc.simulate(rig, 0.04, save=5, integrator=integrator, verify=False)
+    residual = float(run.invariants.figures[Check.LAW_RESIDUAL].worst[0])
+    missed = "Steps missed the laws of contact and friction by up to"
+    assert run.succeeded and any(missed in each for each in run.warnings) == (sweeps == 1)
+    assert (residual > 1e-3) if sweeps == 1 else (residual <= 1e-12)

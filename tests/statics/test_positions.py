@@ -1,6 +1,5 @@
 """A mechanism over positions of its drive: journals lie where the potential energy is least, and
-derivatives are those of the solved equations.
-"""
+derivatives are those of the solved equations."""
 
 import equinox as eqx
 import jax
@@ -272,12 +271,11 @@ def test_what_a_run_starts_with_holds_no_position():
     np.testing.assert_allclose(found.coordinate("G"), ideal, atol=1.2e-4)
 
 
-def test_positions_are_shown_in_words():
-    found = jc.positions(four_bar(), {"O": ANGLES}, reverse_loads=True)
+def test_positions_are_shown_in_words(found):
     assert str(found) == "5 positions, also under reversed loads: O from 0.2 to 5.4 rad."
 
 
-@pytest.mark.parametrize("closing", ["A", "D"])
+@pytest.mark.parametrize("closing", ["A", pytest.param("D", marks=pytest.mark.slow)])
 def test_a_reaction_holds_the_loads_on_its_coordinate_wherever_the_loop_is_cut(closing):
     """A torsion spring in a joint that closes the loop, or that the tree carries."""
     rig, stiffness = four_bar(slack=""), 2.0

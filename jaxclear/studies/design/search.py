@@ -279,7 +279,7 @@ def rare_regions(
         share = limit.rarest()
         if share >= OFTEN:
             continue
-        distance = float(-scipy.stats.norm.ppf(share))
+        distance = float(-scipy.special.ndtri(share))
         for side in range(len(limit.sides(jnp.zeros(())))):
             centre = np.asarray(
                 _worst(question, (number, side), model, jnp.asarray(place), jnp.asarray(distance))

@@ -25,6 +25,7 @@ from typing import Any, NamedTuple
 
 import diffrax
 import numpy as np
+import scipy
 
 TABLEAU = diffrax.Bosh3.tableau
 WEIGHTS, ERRORS = np.asarray(TABLEAU.b_sol), np.asarray(TABLEAU.b_error)
@@ -510,8 +511,6 @@ def _errors(nodes: Sequence[Node], trials: Sequence[Trial], cells: Cells) -> lis
     own_errors = [node.error for node in nodes]
     if len(nodes) < PLACES:
         return own_errors
-    import scipy.interpolate
-
     cycles = np.array([node.cycles for node in nodes])
     rates = np.array([cells.means(node.rate.wear) for node in nodes])
     path = scipy.interpolate.CubicSpline(cycles, rates).antiderivative()(cycles)
@@ -537,8 +536,6 @@ def _scatter(trials: Sequence[Trial], surfaces: int) -> np.ndarray:
     trials = [trial for trial in trials if trial.counts == 1]
     if not trials:
         return scatter
-    import scipy.stats
-
     smooth = np.array([trial.smooth for trial in trials])
     noise = np.array([trial.noise for trial in trials]).T
     for i, shares in enumerate(np.array([trial.shares for trial in trials]).T):
@@ -547,6 +544,6 @@ def _scatter(trials: Sequence[Trial], surfaces: int) -> np.ndarray:
             continue
         # Also the steps tell in which smooth rates could not have made as much.
         telling = shares[smooth <= np.sqrt(np.mean(beyond**2))]
-        factor = scipy.stats.t.ppf(0.975, len(telling)) / NORMAL
+        factor = scipy.special.stdtrit(len(telling), 0.975) / NORMAL
         scatter[i] = factor * np.sqrt(np.mean(telling**2))
     return scatter

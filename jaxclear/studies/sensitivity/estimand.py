@@ -25,6 +25,7 @@ from jaxclear.ground.wording import described, listed
 from jaxclear.native.compiled import compiled_quickly
 from jaxclear.studies.infinite_responses import INSTEAD, check_within_horizon, replace_infinite
 from jaxclear.studies.problem import Problem
+from jaxclear.studies.scrambling import normal_density
 from jaxclear.studies.statistics.scrambled import ordinary_quantile, smooth_quantile
 
 # The slope of a quantile by the score of its share is taken over +- this many scores: wide enough
@@ -132,8 +133,8 @@ class Functional(NamedTuple):
 
     def _around(self) -> np.ndarray:
         """Shares (2,) [1] a little aside of that of the quantile."""
-        score = scipy.stats.norm.ppf(self.number)
-        return scipy.stats.norm.cdf([score - SCORES_ASIDE, score + SCORES_ASIDE])
+        score = scipy.special.ndtri(self.number)
+        return scipy.special.ndtr([score - SCORES_ASIDE, score + SCORES_ASIDE])
 
     def place(self, sample: np.ndarray) -> float | None:
         """The value at which parts are told apart; None where none is."""
@@ -147,7 +148,7 @@ class Functional(NamedTuple):
         if self.kind != "quantile":
             return 0.0
         low, high = self._around()
-        return float(scipy.stats.norm.ppf(0.975) / np.sqrt(max(len(sample) * (high - low), 1.0)))
+        return float(scipy.special.ndtri(0.975) / np.sqrt(max(len(sample) * (high - low), 1.0)))
 
     def influence(self, sample: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
         """The function of responses whose mean has the statistic's derivative, as a sample
@@ -158,12 +159,12 @@ class Functional(NamedTuple):
             mean, spread = sample.mean(), sample.std(ddof=1)
             return lambda y: (y - mean) ** 2 / (2.0 * spread) if spread > 0 else 0.0 * y
         if self.kind == "quantile":
-            score = scipy.stats.norm.ppf(self.number)
+            score = scipy.special.ndtri(self.number)
             low, high = np.quantile(sample, self._around())
             # Among samples of one value it moves by none.
             if not high > low:
                 return lambda y: 0.0 * y
-            density = 2 * SCORES_ASIDE * scipy.stats.norm.pdf(score) / (high - low)
+            density = 2 * SCORES_ASIDE * normal_density(score) / (high - low)
             place = np.quantile(sample, self.number)
             return lambda y: (y <= place) / -density
         return lambda y: self._beyond(y).astype(float)

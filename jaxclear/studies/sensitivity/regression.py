@@ -28,7 +28,7 @@ from jaxclear.studies.monte_carlo import MonteCarlo
 from jaxclear.studies.problem import Problem
 from jaxclear.studies.run_warnings import concern
 from jaxclear.studies.sampling import by_scrambling, draw
-from jaxclear.studies.scrambling import scrambled_shares
+from jaxclear.studies.scrambling import normal_density, scrambled_shares
 from jaxclear.studies.sensitivity.derivative import Estimate, from_parts, refused
 from jaxclear.studies.sensitivity.estimand import Direction, Functional, weights
 from jaxclear.studies.statistics.scrambled import SAMPLES_A_TERM, pseudo_values, student
@@ -386,9 +386,9 @@ class Slope:
         def columns(terms, slopes=None):
             z = (terms @ surface - place) / width
             if slopes is None:
-                last, first = scipy.stats.norm.cdf(z), terms
+                last, first = scipy.special.ndtr(z), terms
             else:
-                last, first = scipy.stats.norm.pdf(z) * (slopes @ surface) / width, slopes
+                last, first = normal_density(z) * (slopes @ surface) / width, slopes
             return np.column_stack([first, last])
 
         return columns

@@ -96,7 +96,7 @@ def normal_factor(samples: int, content: float, confidence: float, both: bool) -
     """Factor [1] of the standard deviation of so many samples of a normal variable."""
     free = samples - 1
     if not both:
-        shift = scipy.stats.norm.ppf(content) * np.sqrt(samples)
+        shift = scipy.special.ndtri(content) * np.sqrt(samples)
         return float(scipy.stats.nct.ppf(confidence, free, shift) / np.sqrt(samples))
 
     def short(factor):
@@ -107,7 +107,7 @@ def normal_factor(samples: int, content: float, confidence: float, both: bool) -
 
         return 2.0 * scipy.integrate.quad(at, 0.0, 8.0, epsabs=1e-9)[0] - confidence
 
-    guess = scipy.stats.norm.ppf(0.5 + 0.5 * content) * np.sqrt(
+    guess = scipy.special.ndtri(0.5 + 0.5 * content) * np.sqrt(
         free * (1 + 1 / samples) / scipy.stats.chi2.ppf(1 - confidence, free)
     )
     return float(scipy.optimize.brentq(short, 0.5 * guess, 2.0 * guess, xtol=1e-9))
@@ -135,7 +135,7 @@ def free_interval(
     omitted = np.arange(1, count // 2 + 1)
     # The content between ordered samples follows a beta distribution.
     outside = omitted * (2 if side == "both" else 1)
-    sure = scipy.stats.beta.sf(content, count + 1 - outside, outside) >= confidence
+    sure = scipy.special.betaincc(count + 1 - outside, outside, content) >= confidence
     if not sure.any():
         raise ValueError(
             f"{count} samples are too few for a tolerance interval of {content:g} with a "
@@ -154,7 +154,7 @@ def free_interval(
 def fewest(content: float, confidence: float, side: str) -> int:
     """The fewest samples that give an interval without a distribution."""
     outside = 2 if side == "both" else 1
-    sure = lambda count: scipy.stats.beta.sf(content, count + 1 - outside, outside) >= confidence
+    sure = lambda count: scipy.special.betaincc(count + 1 - outside, outside, content) >= confidence
     high = 2 * outside
     while not sure(high):
         high *= 2

@@ -73,7 +73,9 @@ UNKNOWN = Statistic(np.nan, np.nan, np.nan)
 
 def student(groups: float) -> float:
     """Half the width of a 95 % interval in standard errors, which come from so many groups."""
-    return float(scipy.stats.t.ppf(0.5 + 0.5 * CONFIDENCE, groups - 1)) if groups > 1 else np.inf
+    return (
+        float(scipy.special.stdtrit(groups - 1, 0.5 + 0.5 * CONFIDENCE)) if groups > 1 else np.inf
+    )
 
 
 def half_width(parts: np.ndarray) -> float:
@@ -134,7 +136,10 @@ def skewed_half(parts: np.ndarray) -> float:
     if spread <= ROUNDING * abs(float(parts.mean())) or count < 3:
         return half
     chance = 6 * count * (count - 1) / ((count - 2) * (count + 1) * (count + 3))
-    skewness = np.sqrt(max(float(scipy.stats.skew(parts, bias=False)) ** 2 - chance, 0.0))
+    away = parts - parts.mean()
+    shape = np.mean(away**2 * away) / np.mean(away**2) ** 1.5
+    shape *= np.sqrt((count - 1) * count) / (count - 2)
+    skewness = np.sqrt(max(float(shape) ** 2 - chance, 0.0))
     return half + skewness * spread * (2 * times**2 + 1) / (6 * count)
 
 
@@ -233,8 +238,8 @@ def share(inside: np.ndarray, group: np.ndarray) -> Statistic:
     groups = len(np.unique(group))
     if groups < 2 or min(k, count - k) < groups:
         tail = 0.5 * (1 - CONFIDENCE)
-        low = scipy.stats.beta.ppf(tail, k, count - k + 1) if k else 0.0
-        high = scipy.stats.beta.ppf(1 - tail, k + 1, count - k) if k < count else 1.0
+        low = scipy.special.betaincinv(k, count - k + 1, tail) if k else 0.0
+        high = scipy.special.betaincinv(k + 1, count - k, 1 - tail) if k < count else 1.0
         return Statistic(value, float(low), float(high))
     statistic = jackknifed(np.mean, inside.astype(float), group)
     return Statistic(value, max(statistic.low, 0.0), min(statistic.high, 1.0))
