@@ -32,6 +32,7 @@ from jaxclear.formulations.films_over_step import film_losses, films_of
 from jaxclear.formulations.impact_speed import ContactMotion, remembered
 from jaxclear.formulations.joint_friction import friction_losses, rubbing
 from jaxclear.formulations.laws_over_step import PastSlip
+from jaxclear.formulations.midpoint_step import WarmStart
 from jaxclear.formulations.model import Instant, Model, State
 from jaxclear.formulations.permanent_reactions import sliding_rates, touching
 from jaxclear.ground import sparse as sp
@@ -309,7 +310,7 @@ class CompliantContact(AbstractFormulation):
                 entries[place] = speeds[i]
         return sp.stack(entries)
 
-    def warm_start(self, model: Model, time: Any, state: State) -> Float[Array, " h"]:
+    def warm_start(self, model: Model, time: Any, state: State) -> WarmStart:
         """Warm start of the first implicit step: no accelerations, and the contacts as they are.
 
         Args:
@@ -318,7 +319,7 @@ class CompliantContact(AbstractFormulation):
             state: the state, an array (n,).
 
         Returns:
-            numbers for `implicit_step`, an array.
+            arrays for `implicit_step`, a `WarmStart`.
         """
         entries = model.entries(state)
         motions = kinematics.link_motions(model.system, *unpack_motion(model.system, entries), time)
@@ -334,7 +335,7 @@ class CompliantContact(AbstractFormulation):
             forces, q, _ = _acting(model, time, entries)
             reactions = joint_friction.rubbing(model, forces, q).answer.reactions
             start = start._replace(reactions=reactions)
-        return sp.stack(jax.tree.leaves(start))
+        return start.packed()
 
     def caused_by_contact(self, model: Model, time: Any, state: State) -> tuple:
         """Accelerations without contact, and what contact adds to them, where a run begins.
@@ -359,32 +360,31 @@ class CompliantContact(AbstractFormulation):
         model: Model,
         time_step: TimeStep,
         state: State,
-        warm_start: Float[Array, " h"],
+        warm_start: WarmStart,
         bias: Any,
         newton_iterations: int,
-    ) -> tuple[State, Float[Array, " h"]]:
+    ) -> tuple[State, WarmStart]:
         """Take one implicit step.
 
         Args:
             model: the mechanism, a `Model`.
             time_step: the step, a `TimeStep`.
             state: the state at its beginning, an array (n,).
-            warm_start: what the step before has returned, an array.
+            warm_start: what the step before has returned, a `WarmStart`.
             bias: share by which mean contact forces lean towards the step's end [1]: 0 the mean, 1
                 the end.
             newton_iterations: number of iterations on the contact laws, >= 1.
 
         Returns:
-            the state at the end, an array (n,), and the warm start of the next step, an array.
+            the state at the end, an array (n,), and the warm start of the next step, a `WarmStart`.
         """
-        form = jax.tree.structure(midpoint_step.blank_start(model))
-        last = jax.tree.unflatten(form, unstacked(warm_start))
+        last = warm_start.unpacked(midpoint_step.blank_start(model))
         entries, how = model.entries(state), (bias, newton_iterations)
         after, now, motion = midpoint_step.step(model, time_step, entries, last, *how)
         if motion:
             contacts = ContactMotion(*map(sp.stack, zip(*motion, strict=True)))
             now = now._replace(forces=unstacked(self.normal_forces(model, state, contacts)))
-        return sp.stack(after), sp.stack(jax.tree.leaves(now))
+        return sp.stack(after), now.packed()
 
 
 def _row_motions(model: Model, time: Any, state: State, flanks: Any = None) -> list[tuple]:

@@ -65,7 +65,7 @@ from jaxclear.formulations.state_rate import (
 )
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.compiling import map_grouped, map_many
-from jaxclear.ground.grouping import MANY, unstacked
+from jaxclear.ground.grouping import LARGEST_UNROLLED, MANY, unstacked
 from jaxclear.ground.numerics import positive_part, safe_divide, safe_sqrt
 from jaxclear.multibody import kinematics
 from jaxclear.multibody.contact_point import (
@@ -120,14 +120,24 @@ class WarmStart(NamedTuple):
     there are contacts, and the normal forces [N] at its start where some contact damps.
     """
 
-    smooth: list
-    contact: list
-    depths: list
-    slips: list[tuple[PastSlip, ...]]
-    reactions: tuple[Reaction, ...]
-    films: list[tuple]
-    surplus: list
-    forces: list
+    smooth: Any
+    contact: Any
+    depths: Any
+    slips: Any
+    reactions: Any
+    films: Any
+    surplus: Any
+    forces: Any
+
+    def packed(self) -> "WarmStart":
+        """The same, each part an array, as steps hand it on."""
+        return WarmStart(*(sp.stack(jax.tree.leaves(part)) for part in self))
+
+    def unpacked(self, form: "WarmStart") -> "WarmStart":
+        """The same in numbers, of the `form` that they have in a step."""
+        pairs = zip(map(jax.tree.structure, form), self, strict=True)
+        least = LARGEST_UNROLLED
+        return WarmStart(*(jax.tree.unflatten(k, unstacked(part, least)) for k, part in pairs))
 
 
 def blank_start(model: Model) -> WarmStart:

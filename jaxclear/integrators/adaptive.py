@@ -114,6 +114,8 @@ class Adaptive(AbstractIntegrator):
 
     pathwise: ClassVar = False
     projects: ClassVar = False
+    remedy: ClassVar = "tighten rtol"
+    notes_events: ClassVar = True
     solver: diffrax.AbstractSolver = eqx.field(
         default_factory=diffrax.Tsit5,
         metadata={"wanted": "a solver of diffrax, such as diffrax.Tsit5()"},
@@ -146,10 +148,6 @@ class Adaptive(AbstractIntegrator):
         sizes = lambda a: (a.rtol, a.atol)
         return eqx.tree_at(sizes, self, (self.rtol * finer, self.atol * finer))
 
-    @property
-    def remedy(self):
-        return "tighten rtol"
-
     def with_max_step(self, step):
         step = step if self.largest_step is None else jnp.minimum(step, self.largest_step)
         return eqx.tree_at(lambda a: a.largest_step, self, step, is_leaf=lambda x: x is None)
@@ -163,10 +161,6 @@ class Adaptive(AbstractIntegrator):
     @property
     def in_kernels(self):
         return not isinstance(self.solver, diffrax.AbstractImplicitSolver)
-
-    @property
-    def notes_events(self):
-        return True
 
     @property
     def through_contacts(self):

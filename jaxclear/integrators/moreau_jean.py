@@ -312,6 +312,10 @@ class MoreauJean(AbstractIntegrator):
 
     pathwise: ClassVar = False
     projects: ClassVar = True
+    promise: ClassVar = RIGID
+    through_contacts: ClassVar = True
+    first_order_slopes: ClassVar = True
+    opens_loops: ClassVar = True
     step: Scalar = quantity(1e-4, "s", above=0)
     theta: Scalar = quantity(0.5, "1", at_least=0, at_most=1, kw_only=True)
     gamma: Scalar = quantity(0.5, "1", at_least=0, kw_only=True)
@@ -319,16 +323,8 @@ class MoreauJean(AbstractIntegrator):
     tolerance: Scalar = quantity(1e-12, "1", above=0, kw_only=True)
     project: bool = eqx.field(static=True, default=True, kw_only=True)
 
-    @property
-    def promise(self):
-        return RIGID
-
     def with_finer_steps(self, share):
         return eqx.tree_at(lambda a: a.step, self, on_device(share * on_host(self.step)))
-
-    @property
-    def opens_loops(self):
-        return True
 
     @property
     def formulation(self):
@@ -336,14 +332,6 @@ class MoreauJean(AbstractIntegrator):
 
     def requested_step(self):
         return self.step
-
-    @property
-    def through_contacts(self):
-        return True
-
-    @property
-    def first_order_slopes(self):
-        return True
 
     def beyond_touches(self, mechanism):
         joints = [mechanism.connections[name].joint for name in mechanism.topology.clearances]

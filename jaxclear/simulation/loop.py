@@ -251,7 +251,12 @@ def first_turn(
     turn = Turn(model, integrator, extras.report)
     reached, none = jnp.asarray(Outcome.REACHED), jnp.zeros((), int)
     first = Carry(state, worn, read, warm_start, reached, times[0], (none, none), None, None)
-    peaks, sent = turn.initial_peaks(first)
+    number = jnp.zeros(())
+    ahead = turn.interval_ahead(Span(number, number, number), jnp.ones((), bool), None)
+    # None where the integrator follows none.
+    shapes = jax.eval_shape(turn.advance, turn.arrays, read, ahead, state, warm_start)
+    peaks = jax.tree.map(lambda each: jnp.full(each.shape, -jnp.inf), shapes.peaks)
+    sent = jax.tree.map(jnp.zeros_like, shapes.transmitted)
     return mechanism, turn, first._replace(peaks=peaks, transmitted=sent)
 
 
@@ -363,17 +368,8 @@ class Turn:
         # Traced once, however often a turn stands in the program.
         self.advance = jax.jit(advance)
 
-    def initial_peaks(self, first: Carry) -> tuple[Peaks | None, Any]:
-        """Peaks, and what couplings have transmitted, before the first turn; None where the
-        integrator follows none."""
-        number = jnp.zeros(())
-        ahead = self._interval_ahead(Span(number, number, number), jnp.ones((), bool), None)
-        inputs = self.arrays, first.read, ahead, first.state, first.warm_start
-        shapes = jax.eval_shape(self.advance, *inputs)
-        peaks = jax.tree.map(lambda each: jnp.full(each.shape, -jnp.inf), shapes.peaks)
-        return peaks, jax.tree.map(jnp.zeros_like, shapes.transmitted)
-
-    def _interval_ahead(self, span: Span, running: Array, peaks: Peaks | None) -> Interval:
+    def interval_ahead(self, span: Span, running: Array, peaks: Peaks | None) -> Interval:
+        """The interval of a span, with the peaks of the run until then (None: it begins)."""
         weights, none = error_weights(self.model), jnp.full(self.model.layout.contacts, -jnp.inf)
         if not none.size:
             return Interval(span.start, span.stop, weights, running)
@@ -399,7 +395,7 @@ class Turn:
             jax.debug.callback(progress.advance, span.progress)
         model, layout = self.model, self.model.layout
         running = (now.outcome == Outcome.REACHED).astype(bool)
-        ahead = self._interval_ahead(span, running, now.peaks)
+        ahead = self.interval_ahead(span, running, now.peaks)
         start = sampled(model, span.start, now.state)
         result = self.advance(self.arrays, now.read, ahead, start, now.warm_start)
         moving = result.state[: layout.memory_start]

@@ -190,9 +190,9 @@ class Positions(AbstractShown):
         """Coordinates of a joint or body over the positions.
 
         Args:
-            name: name of a connection of the tree, a joint that is held, or a body that only joints
-                with clearance connect; of any joint where the mechanism rests at least potential
-                energy.
+            name: name of a connection of the tree, a joint or motor that is held, or a body that
+                only joints with clearance connect; of any joint where the mechanism rests at least
+                potential energy.
 
         Returns:
             Coordinate [rad, m], shape (positions,); (positions, coordinates) where there are
@@ -204,7 +204,7 @@ class Positions(AbstractShown):
         check_single(self.is_solved)
         scene = self.scene
         branches = {branch.name: branch for branch in scene.mechanism.topology.branches}
-        names = [*scene.mechanism.connections, *branches]
+        names = [*scene.mechanism.connections, *branches, *scene.drives]
         check_name("joint or floating body", name, dict.fromkeys(names), " in this mechanism")
         if name in scene.drives:
             return self.position[:, scene.drives.index(name)]

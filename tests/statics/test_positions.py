@@ -289,3 +289,22 @@ def test_a_reaction_holds_the_loads_on_its_coordinate_wherever_the_loop_is_cut(c
     found = jc.positions(sprung, {"O": ANGLES[:1]})
     torque = -stiffness * (ideal_angles(ANGLES[0])[0] - ANGLES[0])
     np.testing.assert_allclose(found.reaction("A")[0, 5], torque, rtol=1e-9)
+
+
+def test_a_motor_that_is_held_is_read_by_its_name():
+    """A motor behind a gear of 100 turns by 30 rad where its arm, but for its twist, by 0.3."""
+    mechanism = jc.Mechanism(
+        {"arm": jc.Body(2.0, 0.1, (0.3, 0.0))},
+        {"hinge": jc.Connection(jc.joint.Revolute(), "ground", "arm")},
+        {"gravity": jc.load.Gravity((0.0, -9.81))},
+        couplings={
+            "gear": jc.coupling.Gear(jc.coupling.Motor(2e-5), "hinge", ratio=100, stiffness=2e4)
+        },
+    )
+    rests = jc.positions(mechanism, {"gear.motor": [30.0, 10.0]})
+    np.testing.assert_array_equal(rests.coordinate("gear.motor"), [30.0, 10.0])
+    hinge = np.asarray(rests.coordinate("hinge"))
+    twist = 2.0 * 9.81 * 0.3 * np.cos(hinge) / 2e4
+    np.testing.assert_allclose(hinge, [0.3, 0.1] - twist, rtol=1e-9)
+    with pytest.raises(ValueError, match='"hinge", "gear.motor"'):
+        rests.coordinate("gear")

@@ -169,7 +169,7 @@ def test_chaos_is_said():
     for copies in (4, 1):
         found = jc.advise(question, 0.01, pilot=jc.PilotSettings(copies=copies))
         assert not found.is_accurate and found.chosen.worst[1] > 0.01
-        assert "Nothing tried keeps 1 %" in found.sentence()
+        assert "No integrator that was tried keeps 1 %" in found.sentence()
         assert "as chaotic ones do, ask for means over a sample" in found.sentence()
         assert found.warnings() and found.warnings()[0] in found.sentence()
 

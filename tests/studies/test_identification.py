@@ -1,6 +1,7 @@
 """What a record tells: the regression where the answer is known, what is asked wrongly, and one
 small machine with a hidden clearance."""
 
+import dataclasses
 import functools
 import types
 
@@ -14,6 +15,7 @@ import jaxclear as jc
 from jaxclear.studies.identification import identify, laws, regression, result
 from jaxclear.studies.identification.result import ends_in_words, unknown_of
 from jaxclear.studies.identification.sample import check_identifiable, check_window, window_end
+from tests.plot.identified import identified
 from tests.rigs.refusals import refusals
 
 LOSS = jc.contact.dissipation
@@ -283,7 +285,7 @@ def measured(time, values, **more):
     return jc.Measurement(time, {"a": values}, {"a": sensors()["a"]}, **more)
 
 
-def identified(record=None, integrator=None, **how):
+def identify_machine(record=None, integrator=None, **how):
     return jc.identify(machine(0.2e-3, integrator=integrator), record or bare(), **how)
 
 
@@ -303,9 +305,9 @@ test_what_is_no_record_or_question_is_named = refusals(
         "piston": lambda: check_identifiable(
             machine(0.2e-3), bare(sensors={"a": jc.sensor.Gyroscope("piston")})
         ),
-        "runs of identify": lambda: identified(runs=10),
-        'statistic "mine"': lambda: identified(statistics={"mine": 3}),
-        "NonColliding moves bodies as ideal joints do": lambda: identified(
+        "runs of identify": lambda: identify_machine(runs=10),
+        'statistic "mine"': lambda: identify_machine(statistics={"mine": 3}),
+        "NonColliding moves bodies as ideal joints do": lambda: identify_machine(
             integrator=jc.integrator.NonColliding()
         ),
     }
@@ -343,3 +345,14 @@ def test_unknowns_keep_their_order_where_jax_sorts_their_names():
     found = result.posterior_of(sorted_, values)
     assert found.names == own.names
     np.testing.assert_allclose(found.nominal(), [0.86, 2.2e-4], rtol=1e-6)
+
+
+def test_a_record_that_is_like_the_runs_is_said_to_be_so():
+    parts = jc.Dimension(0.0, tolerance=1e-3)
+    like = identified(jc.FunctionProblem(lambda a, b: a + b, dict.fromkeys("ab", parts)))
+    assert "The record is like the runs: 40 % of them lie as far off as it." in like.sentence()
+    assert not like.warned
+    unlike = dataclasses.replace(like, explained=1e-3)
+    assert "like the runs" not in unlike.sentence() and "No law" in unlike.warned[0]
+    few = dataclasses.replace(like, runs=64)
+    assert few.explains is None and "like the runs" not in few.sentence()

@@ -147,12 +147,17 @@ test_what_cannot_be_asked_gets_a_sentence = refusals(
 
 
 def test_shares_name_the_variables_that_lead():
-    shares = {
-        ("force", "a"): Statistic(0.6, 0.5, 0.7),
-        ("force", "b"): Statistic(0.4, 0.3, 0.52),
-        ("force", "c"): Statistic(0.0, 0.0, 0.1),
-        ("flat", "a"): Statistic(0.0, 0.0, 0.0),
-    }
-    told = leading(shares, "total index")
-    assert told.startswith('"a" (0.60 ± 0.10) and "b" (0.40 ± 0.12) lead the variance of "force"')
-    assert told.endswith('"flat" has no variance that is shared out.')
+    told = leading(
+        {
+            ("force", "a"): Statistic(0.6, 0.5, 0.7),
+            ("force", "b"): Statistic(0.4, 0.3, 0.52),
+            ("force", "c"): Statistic(0.0, 0.0, 0.1),
+            ("flat", "a"): Statistic(0.0, 0.0, 0.0),
+        },
+        "total index",
+    )
+    assert told.startswith(
+        '"a" (total index 0.60 ± 0.10) and "b" (total index 0.40 ± 0.12) contribute most to '
+        'the variance of "force"'
+    )
+    assert told.endswith('"flat" does not vary with any variable.')

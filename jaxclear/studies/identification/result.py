@@ -210,6 +210,9 @@ class Identified(AbstractAnswer):
         sentences = [quantity.sentence() for quantity in (*self.unknowns, *self.answers)]
         failures = f" {self.failed} more failed." if self.failed else ""
         sentences.append(f"From {self.runs} runs, {self.how}.{failures}")
+        if self.explains:
+            share = f"{100 * (self.explained or 0.0):.2g} %"
+            sentences.append(f"The record is like the runs: {share} of them lie as far off as it.")
         return " ".join([*sentences, *self.remarks])
 
     def _stated(self):
