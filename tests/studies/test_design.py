@@ -484,7 +484,7 @@ def test_a_limit_whose_error_crosses_its_bound_is_not_said_to_hold(plain):
     ],
     ids=["straight", "skewed"],
 )
-@pytest.mark.parametrize("kind", ["quantile", "share"])
+@pytest.mark.parametrize("kind", ["quantile", "share", "moments"])
 def test_limits_by_a_surface_are_said_to_hold_as_seldom_as_their_interval_says(
     function, seeds, most, kind
 ):
@@ -495,7 +495,12 @@ def test_limits_by_a_surface_are_said_to_hold_as_seldom_as_their_interval_says(
     spread = {name: jc.Dimension(0.0, normal(s)) for name, s in (("a", 0.6), ("b", 0.8))}
     asked = jc.FunctionProblem(lambda a, b: {"error": function(a + b)}, spread)
     level = float(function(norm.ppf(0.97)))
+    # Moments hold less often: of a lognormal the samples hardly know how skewed they are.
+    lognormal = np.exp(0.5) * (1 + 3 * np.sqrt(np.e - 1))
+    moments = lognormal if function is jnp.exp else 3.0
+    most = 2 * most if kind == "moments" else most
     limit = {
+        "moments": jc.limit.MeanAndDeviation("error", at_most=moments),
         "quantile": jc.limit.Quantile("error", at_most=level, share=0.97),
         "share": jc.limit.Probability("error", above=level, at_most=0.03),
     }[kind]
@@ -513,7 +518,7 @@ def test_limits_by_a_surface_are_said_to_hold_as_seldom_as_their_interval_says(
     numbers = np.array([abs(c.numbers[0] - limit.bound()) <= c.errors[0] for c in checks])
     assert np.sum(~numbers) <= 2 * most
     # Not by errors that say nothing.
-    assert np.median(error) < 0.1 * level
+    assert np.median(error) < (0.6 if kind == "moments" else 0.1) * level
 
 
 def _turned(a, b):

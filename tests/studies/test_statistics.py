@@ -1,5 +1,6 @@
 """Statistics of a Monte Carlo study and their errors, against closed forms of a stack of parts."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -7,7 +8,7 @@ from scipy import stats
 
 import jaxclear as jc
 from jaxclear.studies.statistics.limits import fewest, normal_factor
-from jaxclear.studies.statistics.scrambled import jackknifed, skewed_half, smooth_quantile, student
+from jaxclear.studies.statistics.scrambled import half_widths, smooth_quantile, student
 
 D = jc.distribution
 # A stack of four parts: gap = d - a - b - c, normal with mean 0.5 mm.
@@ -162,7 +163,7 @@ def test_intervals_of_skewed_contributions_hold_and_others_hardly_widen(law, mea
     rng = np.random.default_rng(0)
     rows = rng.chisquare(1, (2000, 16)) if law == "chisquare" else rng.normal(size=(2000, 16))
     away = abs(rows.mean(axis=1) - mean)
-    half = np.array([skewed_half(row) for row in rows])
+    half = np.array([max(half_widths(row)) for row in rows])
     students = student(16) * rows.std(axis=1, ddof=1) / 4
     assert np.mean(away <= half) > fewest_held
     assert np.mean(half / students) < (1.5 if law == "chisquare" else 1.1)
@@ -177,16 +178,62 @@ def test_a_smooth_quantile_is_that_of_harrell_and_davis():
         assert smooth_quantile(values, share) == pytest.approx(expected, rel=1e-12)
 
 
-def test_intervals_of_skewed_contributions_are_moved():
-    """Sixteen exponential contributions: Student's interval misses the mean more often than one
-    that is moved by their skewness, and misses it below."""
-    rng, group = np.random.default_rng(0), np.arange(16)
-    missed = {True: 0, False: 0}
-    for parts in rng.exponential(size=(600, 16)):
-        for skewed in missed:
-            found = jackknifed(np.mean, parts, group, skewed)
-            missed[skewed] += not found.low <= 1.0 <= found.high
-    assert missed[False] > 0.07 * 600 and missed[True] < 0.8 * missed[False]
+LAWS = {
+    "normal": (lambda u: u, 0.0, 1.0),
+    "exponential": (lambda u: -jax.scipy.stats.norm.logsf(u), 1.0, 1.0),
+    "chi square": (lambda u: u**2, 1.0, np.sqrt(2)),
+    "lognormal": (jnp.exp, np.exp(0.5), np.exp(0.5) * np.sqrt(np.e - 1)),
+}
+
+
+@pytest.mark.parametrize(
+    ("samples", "seeds"), [(256, 100), pytest.param(1024, 400, marks=pytest.mark.slow)]
+)
+def test_intervals_of_skewed_statistics_hold_their_closed_forms(samples, seeds):
+    """Of three numbers. The skewness of eight scramblings alone left 16 % of deviations of a
+    lognormal above the interval, and 6 % of an exponential; 2.5 % are expected, 3 to 6 measured.
+    Of a lognormal the samples hardly know how skewed they are."""
+    three = {name: jc.Dimension(0.0, D.Normal(1.0)) for name in "abc"}
+    asked = jc.FunctionProblem(
+        lambda a, b, c: {name: of((a + b + c) / np.sqrt(3)) for name, (of, *_) in LAWS.items()},
+        three,
+    )
+    missed = dict.fromkeys(LAWS, 0) | {f"{name}, mean + 3": 0 for name in LAWS}
+    width = []
+    for seed in range(seeds):
+        study = jc.monte_carlo(asked, samples, seed=seed)
+        for name, (_, mean, spread) in LAWS.items():
+            deviation = study.standard_deviation(name)
+            missed[name] += deviation.high < spread or study.mean(name).high < mean
+            limit = jc.limit.MeanAndDeviation(name, at_most=1.0)
+            missed[f"{name}, mean + 3"] += (
+                limit.estimate(*study.good(name)).high < mean + 3 * spread
+            )
+        normal = study.standard_deviation("normal")
+        width.append(0.5 * (normal.high - normal.low))
+    shares = {name: count / seeds for name, count in missed.items()}
+    assert all(share <= (0.15 if "log" in name else 0.09) for name, share in shares.items()), shares
+    # That of independent normal numbers, by Student's factor of eight scramblings.
+    assert np.median(width) < 1.5 * student(8) / np.sqrt(2 * samples)
+
+
+@pytest.mark.parametrize("rare", [1, 2, 3])
+def test_the_end_of_a_skewed_interval_is_that_of_gamma_parts(rare):
+    """Student's statistic of eight parts with a gamma distribution lies below it in 2.5 % of cases:
+    of 100 000 draws 5.2 (skewness 2.3), 3.3 and 2.7 standard errors, for 2.36 of normal ones."""
+    samples = np.repeat([0.0, 1.0], [8 - rare, rare])
+    shape, rng = 4 / stats.skew(samples) ** 2, np.random.default_rng(0)
+    rows = rng.gamma(shape, size=(100_000, 8)) - shape
+    exact = -np.quantile(rows.mean(axis=1) / rows.std(axis=1, ddof=1) * np.sqrt(8), 0.025)
+    # Parts that show no skewness themselves.
+    parts = np.array([-3.0, -2.0, -1.0, -0.5, 0.5, 1.0, 2.0, 3.0])
+    for sign in (1, -1):
+        below, above = half_widths(parts, sign * samples) / parts.std(ddof=1) * np.sqrt(8)
+        near, far = (below, above) if sign > 0 else (above, below)
+        assert near == pytest.approx(student(8), rel=1e-12)
+        assert far == pytest.approx(exact, rel=0.1)
+    near = half_widths(parts)
+    assert half_widths(parts, np.ones(60)) == half_widths(parts, np.ones(2)) == near
 
 
 @pytest.mark.parametrize("samples", [1, 2, 3, 4])

@@ -289,7 +289,8 @@ class MeanAndDeviation(AbstractOneSidedLimit):
     def estimate(self, values, group):
         factor = float(self.deviations) * (1.0 if self.upper() else -1.0)
         number = lambda values, group: values.mean() + factor * scrambled.deviation(values, group)
-        return scrambled.jackknifed(number, values, group, skewed=True, grouped=True)
+        contributions = scrambled.contributions_to_moments(values, factor)
+        return scrambled.jackknifed(number, values, group, contributions, grouped=True)
 
     def rarest(self):
         return 0.5

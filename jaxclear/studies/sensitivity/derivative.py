@@ -17,7 +17,7 @@ from jaxclear.studies.answer import DATASET, RESPONSE, VARIABLE, AbstractAnswer,
 from jaxclear.studies.monte_carlo import MonteCarlo
 from jaxclear.studies.run_warnings import FEW_WARNED
 from jaxclear.studies.sensitivity.estimand import Size
-from jaxclear.studies.statistics.scrambled import skewed_half
+from jaxclear.studies.statistics.scrambled import half_widths
 
 # An answer this many times less certain than another is large agrees with anything, and confirms
 # nothing; of a zero, one whose error is no small part of all that the variable could do.
@@ -61,7 +61,7 @@ def from_parts(parts: np.ndarray, bias: float = 0.0) -> Estimate:
     """The mean of contributions (scramblings,), with their interval and a bias."""
     if len(parts) < 2 or not np.all(np.isfinite(parts)):
         return refused("the sample has too few independent scramblings to tell an error.")
-    return Estimate(float(parts.mean()), float(np.hypot(skewed_half(parts), bias)))
+    return Estimate(float(parts.mean()), float(np.hypot(max(half_widths(parts)), bias)))
 
 
 def refused(why: str) -> Estimate:

@@ -16,7 +16,14 @@ import scipy
 from jaxclear.ground.arguments import check_name, check_number, expect
 from jaxclear.ground.printing import with_text_repr
 from jaxclear.ground.wording import described
-from jaxclear.studies.statistics.scrambled import Statistic, deviation, jackknifed, quantile, share
+from jaxclear.studies.statistics.scrambled import (
+    Statistic,
+    contributions_to_moments,
+    deviation,
+    jackknifed,
+    quantile,
+    share,
+)
 
 # (low, high) of a response in its unit, None for no limit.
 Limits = tuple[float | None, float | None]
@@ -121,7 +128,8 @@ def normal_interval(
 
     def limit(sign: float) -> Statistic:
         at = lambda numbers, parts: numbers.mean() + sign * factor * deviation(numbers, parts)
-        return jackknifed(at, values, group, skewed=True, grouped=True)
+        contributions = contributions_to_moments(values, sign * factor)
+        return jackknifed(at, values, group, contributions, grouped=True)
 
     return _sided(limit(-1.0), limit(1.0), content, confidence, side)
 

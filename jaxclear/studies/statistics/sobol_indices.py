@@ -259,7 +259,7 @@ def _share(parts: _Parts | None, place: int) -> Statistic:
 
     each = np.arange(len(parts.samples))
     plain, spread, clipped = (
-        jackknifed(of, np.column_stack([row[:, [place, -2, -1]], parts.samples]), each, skewed=True)
+        jackknifed(of, np.column_stack([row[:, [place, -2, -1]], parts.samples]), each)
         for row in parts[:3]
     )
     beyond = abs(spread.value - clipped.value)
