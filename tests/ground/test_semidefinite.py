@@ -83,12 +83,17 @@ def test_a_long_chain_is_written_out_and_a_wheel_numbered_from_its_hub_is_not():
     assert is_written_out(chain) and not is_written_out(hub)
 
 
-@pytest.mark.parametrize("size", [5, 30, 45])
+@pytest.mark.parametrize("size", [5, 41])
 def test_both_ways_solve_the_system(size):
+    """Written out, and by LAPACK where that would be long."""
     matrix, right = drawn(size, size)
     matrix = matrix + np.eye(size)
-    factors = factor([list(row) for row in jnp.asarray(matrix)])
-    found = jnp.stack(solve(factors, tuple(jnp.asarray(right))))
+
+    @jax.jit
+    def solution(matrix, right):
+        return jnp.stack(solve(factor([list(row) for row in matrix]), tuple(right)))
+
+    found = solution(matrix, right)
     np.testing.assert_allclose(found, np.linalg.solve(matrix, right), rtol=1e-9, atol=1e-12)
 
 
