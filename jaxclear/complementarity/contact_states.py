@@ -149,7 +149,7 @@ def with_derivatives(
     Returns:
         the root, an array (n,).
     """
-    function, numbers = jax.closure_convert(misses, jax.lax.stop_gradient(root))
+    function, numbers = jax.closure_convert(misses, root)
 
     def tangent(arguments, tangents):
         root, *numbers = arguments
@@ -160,4 +160,5 @@ def with_derivatives(
         solution = solve([columns[:, i] for i in range(len(root))], -change)
         return jnp.stack([solution[i] for i in range(len(root))])
 
-    return derived(lambda root, *_: root, tangent)(jax.lax.stop_gradient(root), *numbers)
+    # What the root was found from is not cut off: by that loops know what moves.
+    return derived(lambda root, *_: root, tangent)(root, *numbers)

@@ -104,7 +104,7 @@ class ProjectedGaussSeidel(AbstractSolver):
         return Solution(r, v, problem.residual(r, v), outcome, last.sweeps)
 
     def iterate(self, problem: FrictionContact, start: Array | None = None) -> Iterate:
-        """The iteration itself, which a time step calls. No derivatives.
+        """The iteration itself, which a time step calls; for derivatives see `with_derivatives`.
 
         Args:
             problem: a `FrictionContact`.
@@ -113,7 +113,7 @@ class ProjectedGaussSeidel(AbstractSolver):
         Returns:
             the last `Iterate`.
         """
-        return self._iterate(*jax.lax.stop_gradient((problem, start)), in_kernel=True)
+        return self._iterate(problem, start, in_kernel=True)
 
     def _iterate(self, problem: FrictionContact, start: Array | None, in_kernel: bool) -> Iterate:
         scaled = scaled_contacts(problem)

@@ -107,32 +107,26 @@ def searched(
 ) -> tuple[Array, Any]:
     """(impulses along all rows [N s], residual of the laws relative to the largest velocity), with
     the derivatives of a solution of the laws."""
-    fixed = jax.tree.map(_without_tangent, search)
-    reactions_at = lambda z: as_reactions(jax.lax.stop_gradient(respond(z / search.h)))
+    reactions_at = lambda z: as_reactions(respond(z / search.h))
 
     def improve(carry):
         z, old, _, sweeps = carry
-        problem, guess, back = _problem(fixed, old, z)
+        problem, guess, back = _problem(search, old, z)
         out = settings.solver().iterate(problem, guess)
         z = back(out.z)
         now = reactions_at(z)
-        residual = jnp.maximum(out.residual, _residual(fixed, old, now, problem))
+        residual = jnp.maximum(out.residual, _residual(search, old, now, problem))
         return z, now, residual, sweeps + jnp.maximum(out.sweeps, 1)
 
     def unfinished(carry):
         _, _, residual, sweeps = carry
         return (residual > settings.tolerance) & (sweeps < settings.max_sweeps)
 
-    z = jax.lax.stop_gradient(start)
-    first = (z, reactions_at(z), jnp.asarray(jnp.inf), jnp.zeros((), int))
+    first = (start, reactions_at(start), jnp.asarray(jnp.inf), jnp.zeros((), int))
     z, _, residual, _ = (
         jax.lax.while_loop(unfinished, improve, first) if search.joints else improve(first)
     )
     return with_derivatives(lambda z: _missed(search, respond, z), z), residual
-
-
-def _without_tangent(leaf: Any) -> Any:
-    return jax.lax.stop_gradient(leaf) if isinstance(leaf, jax.Array) else leaf
 
 
 def _missed(search: Search, respond: Callable, z: Array) -> Array:
