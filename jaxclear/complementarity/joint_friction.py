@@ -20,10 +20,12 @@ from jaxtyping import Array, Float
 from jaxclear.complementarity.problem import AbstractProblem, AbstractSolver, Outcome, Solution
 from jaxclear.complementarity.projected_gauss_seidel import Iterate
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.numerics import safe_divide
+from jaxclear.ground.numerics import safe_divide, safe_sqrt
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.quantity import Scalar, quantity
 
+# Newton steps for one joint: its start is off by less than half of the nearer slack.
+RELAXED_STEPS = 6
 # A change of friction that is larger than this share of the one before does not die away.
 DRIFTS = 0.9
 
@@ -119,12 +121,15 @@ class JointFriction(AbstractProblem):
         """
         return self.free_velocity[i] + sp.dot(self.delassus[i], friction)
 
-    def improved(self, k: int, friction: Float[Array, " k"]) -> tuple[list, Any, Any]:
+    def improved(
+        self, k: int, friction: Float[Array, " k"], relaxation: Any = None
+    ) -> tuple[list, Any, Any]:
         """Friction of one joint that satisfies its law while that of the others stays.
 
         Args:
             k: index of the joint.
             friction: friction of all joints [N], an array.
+            relaxation: share of the bound over which friction is rounded [1]; None: exact.
 
         Returns:
             components of T_k [N], the bound of their size [N], and whether they are within it.
@@ -136,6 +141,8 @@ class JointFriction(AbstractProblem):
         stiff = jnp.maximum(self.delassus[i][i], self.softest[i])
         target = friction[i] - self.slip(i, friction) / stiff
         within = jnp.clip(target, low, high)
+        if relaxation is not None and isinstance(block, OfReaction):
+            within = _relaxed(target, low, high, relaxation)
         bound = jnp.maximum(jnp.abs(low), jnp.abs(high))
         return [within], jnp.where(jnp.isfinite(bound), bound, jnp.abs(within)), within == target
 
@@ -200,10 +207,15 @@ class BoxedGaussSeidel(AbstractSolver):
     Args:
         tolerance: change of friction relative to its bound at which to stop [1], > 0.
         max_sweeps: largest number of sweeps over the joints [1], > 0.
+        relaxation: share of the bound B over which the corners of joints of one component are
+            rounded [1], > 0: that of interior points, the products of slacks and slips are
+            W (relaxation B / 2)^2 in the place of 0 (start: Chen & Harker 1993, SIAM J. Matrix
+            Anal. Appl. 14, 1168, doi:10.1137/0614081); None: exact.
     """
 
     tolerance: Scalar = quantity(1e-13, "1", above=0)
     max_sweeps: Scalar = quantity(1000.0, "1", above=0)
+    relaxation: Scalar | None = quantity(None, "1", above=0)
 
     def solve(self, problem: JointFriction) -> Solution:
         check_double_precision()
@@ -252,7 +264,7 @@ class BoxedGaussSeidel(AbstractSolver):
         for k, block in enumerate(problem.blocks):
             if block is None:
                 continue
-            improved, bound, within = problem.improved(k, friction)
+            improved, bound, within = problem.improved(k, friction, self.relaxation)
             for i, x in enumerate(improved, problem.place(k).start):
                 all_within &= within | (friction[i] == x)
                 friction = friction.at[i].set(x)
@@ -265,6 +277,23 @@ def _force_for_change(problem: JointFriction, change: Array) -> Any:
     stiff = [jnp.maximum(row[i], problem.softest[i]) for i, row in enumerate(problem.delassus)]
     moved = [sp.dot(row, change) / x for row, x in zip(problem.delassus, stiff, strict=True)]
     return jnp.max(jnp.abs(jnp.stack(moved)))
+
+
+def _relaxed(target: Any, low: Any, high: Any, relaxation: Any) -> Any:
+    """T with 1 / (T - low) - 1 / (high - T) in proportion to T - target: the complementarity of the
+    slacks and slips relaxed to one product. From a hyperbola at each bound (Chen & Harker 1993) by
+    Newton's method, which halves the way to a bound rather than to cross it.
+    """
+    width = relaxation * 0.5 * (high - low)
+    root = lambda y: safe_sqrt(y * y + width * width)
+    friction, product = 0.5 * (root(target - low) - root(target - high) + high + low), width**2 / 4
+    for _ in range(RELAXED_STEPS):
+        above, below = high - friction, friction - low
+        left, right = safe_divide(1.0, below), safe_divide(1.0, above)
+        missed = friction - target + product * (right - left)
+        change = missed / (1 + product * (left * left + right * right))
+        friction = friction - jnp.clip(change, -0.5 * above, 0.5 * below)
+    return friction
 
 
 def across(direction: tuple) -> tuple[tuple, tuple]:

@@ -43,15 +43,17 @@ UNMOVED = 1e-12
 
 
 class NonCollidingSettings(NamedTuple):
-    """Most sweeps over the joints in a step, and change of the friction at which they end relative
-    to its bound."""
+    """Most sweeps over the joints in a step, change of the friction at which they end relative to
+    its bound, and the width over which friction is rounded at its bound, relative to it (None:
+    exact)."""
 
     max_sweeps: Any
     tolerance: Any
+    relaxation: Any | None
 
     def solver(self) -> BoxedGaussSeidel:
         """What finds the friction."""
-        return BoxedGaussSeidel(self.tolerance, self.max_sweeps)
+        return BoxedGaussSeidel(self.tolerance, self.max_sweeps, self.relaxation)
 
 
 def _carried(k: int, joint: Any, response: FrictionResponse) -> Callable:
@@ -197,7 +199,7 @@ def regularised_friction(fixed, speeds, response: FrictionResponse) -> JointFric
     return JointFriction([none] * count, none, tuple(blocks), jnp.ones(count), placed(fixed))
 
 
-SETTINGS = NonCollidingSettings(200.0, 1e-13)
+SETTINGS = NonCollidingSettings(200.0, 1e-13, None)
 # Last change of friction in a search, relative to the largest, beyond which there is no answer.
 LOOSE = 1e-6
 

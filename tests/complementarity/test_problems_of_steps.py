@@ -12,8 +12,10 @@ import pytest
 
 import jaxclear as jc
 from jaxclear.complementarity import (
+    LCP,
     BoxedGaussSeidel,
     FrictionContact,
+    InteriorPoint,
     JointFriction,
     Outcome,
     ProjectedGaussSeidel,
@@ -132,6 +134,15 @@ def test_boxes_in_closed_form():
         assert found.solved and float(found.residual) < 1e-12
         np.testing.assert_allclose(found.z, expected, rtol=1e-12)
         np.testing.assert_allclose(found.w, (push + expected) * step / mass, atol=1e-15)
+        rounded = BoxedGaussSeidel(relaxation=1e-3).solve(problem)
+        assert rounded.solved and abs(rounded.z[0] - expected) < 2e-3 * 0.2 * load
+        # 0 <= s+ perp B + T >= 0 and 0 <= B - T perp s- >= 0 as a linear problem of s+ and B - T.
+        bound, inverse = 0.2 * load, step / mass
+        matrix = np.array([[0.0, -1.0], [1.0, inverse]])
+        offset = np.array([2 * bound, -inverse * bound - push * step / mass])
+        by_path = InteriorPoint(inverse * (1e-3 * bound / 2) ** 2).solve(LCP(matrix, offset))
+        assert by_path.solved
+        np.testing.assert_allclose(bound - rounded.z[0], by_path.z[1], rtol=1e-8)
     frictionless = JointFriction([[1.0]], [1.0], (None,), [0.0])
     assert BoxedGaussSeidel().solve(frictionless).z == 0.0
     lost = BoxedGaussSeidel(max_sweeps=1.0).solve(problem)
