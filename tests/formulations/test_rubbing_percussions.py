@@ -171,7 +171,8 @@ def test_derivatives_are_those_of_differences_or_steps_decide_them(name):
     assert both.mean() > 0.6 and known[both].all()
     np.testing.assert_allclose(backwards[both], forwards[both], atol=1e-12 * scale)
     for derivatives in (forwards, backwards):
-        assert jc.explain_nan(derivatives).startswith("In steps of another length")
+        explanation = jc.explain_nan(derivatives)
+        assert np.isfinite(derivatives).all() or explanation.startswith("In steps of another")
 
 
 def rattling(contact, friction):
@@ -211,11 +212,12 @@ def test_derivatives_of_an_impact_that_rubs_are_those_of_its_closed_form():
 
     def way(mu, clearance):
         rig = struck(speed, jc.friction.Coulomb(mu_kinetic=mu), clearance)
-        run = jc.simulate(rig, duration, integrator=jc.integrator.MoreauJean(1e-6), save=3)
+        steps = jc.integrator.MoreauJean(1e-7)
+        run = jc.simulate(rig, duration, integrator=steps, save=3, throw=False)
         return run.coordinate("S")[-1]
 
     by_mu, by_clearance = jax.jit(jax.jacfwd(way, (0, 1)))(MU, CLEARANCE)
     left = duration - CLEARANCE / FALL
-    # The step's own error: one of 105.
-    np.testing.assert_allclose(by_mu, -percussion / BLOCK * left, rtol=0.01)
+    # The step's own error: one of 1050.
+    np.testing.assert_allclose(by_mu, -percussion / BLOCK * left, rtol=2e-3)
     np.testing.assert_allclose(by_clearance, MU * percussion / BLOCK / FALL, rtol=1e-6)
