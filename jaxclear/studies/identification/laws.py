@@ -73,7 +73,7 @@ class ChosenFriction(AbstractSlipFriction):
         return getattr(self.stated, name)
 
     def _laws(self) -> tuple[AbstractSlipFriction, ...]:
-        coefficient = _coefficient(self.stated)
+        coefficient = self.stated.mu_kinetic
         return (self.stated, *(_with(one, "mu_kinetic", coefficient) for one in self.others))
 
     def coulomb(self):
@@ -85,10 +85,6 @@ class ChosenFriction(AbstractSlipFriction):
 
     def coefficient(self, slip_speed):
         return _chosen([law.coefficient(slip_speed) for law in self._laws()], self.choice)
-
-
-def _coefficient(law: Any) -> Any:
-    return law.mu_kinetic
 
 
 def _with(law: Any, number: str, value: Any) -> Any:
@@ -134,7 +130,8 @@ def ensemble(mechanism: Mechanism, laws: Sequence[type] | None) -> Ensemble:
     for name in mechanism.topology.clearances:
         joint = extended.connections[name].joint
         mix = functools.partial(_mixed, losses=losses, frictions=frictions, names=names)
-        extended = _with_joint(extended, name, jax.tree.map(mix, joint, is_leaf=_is_law))
+        where = lambda tree, name=name: tree.connections[name].joint
+        extended = eqx.tree_at(where, extended, jax.tree.map(mix, joint, is_leaf=_is_law))
     kinds = {DISSIPATION: _dissipation_choices, FRICTION: _friction_choices}
     variables: dict[str, AbstractMechanismVariable] = {
         what: Variable(where, Discrete(deviations=tuple(map(float, range(len(names[what]))))))
@@ -142,10 +139,6 @@ def ensemble(mechanism: Mechanism, laws: Sequence[type] | None) -> Ensemble:
         if what in names
     }
     return Ensemble(extended, variables, {what: names[what] for what in variables})
-
-
-def _with_joint(mechanism: Mechanism, name: str, joint: Any) -> Mechanism:
-    return eqx.tree_at(lambda tree: tree.connections[name].joint, mechanism, joint)
 
 
 def _is_law(part: Any) -> bool:
@@ -165,7 +158,7 @@ def _mixed(part: Any, losses: list, frictions: list, names: dict[str, tuple[str,
             return ChosenDissipation(part, others)
     if isinstance(part, AbstractSlipFriction):
         kinds = _others(part, frictions)
-        if kinds and "mu_kinetic" in _numbers(type(part)):
+        if kinds and "mu_kinetic" in {field.name for field in dataclasses.fields(part)}:
             others = tuple(_friction(kind, part) for kind in kinds)
             names.setdefault(FRICTION, _named(part, kinds))
             return ChosenFriction(part, others)
@@ -181,10 +174,6 @@ def _others(law: Any, kinds: list) -> list:
 
 def _named(law: Any, kinds: list) -> tuple[str, ...]:
     return tuple(kind.__name__ for kind in (type(law), *kinds))
-
-
-def _numbers(kind: type) -> set[str]:
-    return {field.name for field in dataclasses.fields(kind)}
 
 
 def _friction(kind: type, law: Any) -> Any:
