@@ -267,13 +267,22 @@ class MonteCarlo(AbstractAnswer):
         side: str = "both",
         normal: bool = False,
     ) -> ToleranceInterval:
-        """Limits within which at least a share `content` [1] of all parts lies, with a `confidence`
-        [1]. `side`: "both", "lower" (all parts above a limit), "upper". `normal`: of a normal
-        response, mean and a factor of the standard deviation; otherwise between two samples,
-        whatever the distribution.
+        """Limits within which at least a share of all parts lies, with a confidence.
 
         The confidence is that of as many independent samples; quasi-random ones deserve more.
-        Raises `ValueError` where the samples are too few, with how many are needed.
+
+        Args:
+            response: name of the response.
+            content: share of all parts within the limits [1], > 0 and < 1; 0.99 by default.
+            confidence: probability that it is at least that share [1], > 0 and < 1; 0.95 by
+                default.
+            side: "both", "lower" (all parts above a limit) or "upper", a text.
+            normal: whether the response is normal, so that limits are its mean and a factor of
+                its standard
+                deviation; otherwise they are two samples, whatever the distribution.
+
+        Raises:
+            ValueError: the samples are too few, with how many are needed.
         """
         check_number("content of tolerance_interval", content, above=0, below=1)
         check_number("confidence of tolerance_interval", confidence, above=0, below=1)

@@ -10,7 +10,7 @@ from scipy.optimize import brentq, minimize
 
 import jaxclear as jc
 from jaxclear.statics.position_path import positions_at, spots_along
-from jaxclear.statics.quasi_static import loop_method, posed, settle
+from jaxclear.statics.quasi_static import find_spot, loop_method, posed
 
 CRANK, COUPLER, FOLLOWER, GROUND, CLEARANCE, GRAVITY = 0.1, 0.4, 0.3, 0.3, 0.3e-3, 9.81
 ANGLES = np.array([0.2, 1.5, 2.8, 4.1, 5.4])
@@ -201,7 +201,7 @@ def test_the_way_of_assembly_is_told_and_a_fall_to_the_other_is_found_out():
     fallen = eqx.tree_at(lambda spot: spot.q, here, jnp.asarray(mirrored))
     there = positions_at(scene, places, fallen, way)
     assert not np.any(there.is_solved) and np.all(positions_at(scene, places, here, way).is_solved)
-    gone = jax.vmap(lambda own, start: settle(scene.at(own), start, way))(places, fallen)
+    gone = jax.vmap(lambda own, start: find_spot(scene.at(own), start, way))(places, fallen)
     np.testing.assert_array_equal(gone.branch, -here.branch)
     assert np.all(gone.change < 1e-9)
 

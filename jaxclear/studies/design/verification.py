@@ -57,7 +57,15 @@ class Verifier(NamedTuple):
     def check(
         self, place: np.ndarray, model: AbstractModel, samples: int, seed: int, shifts: tuple
     ) -> Check:
-        """The limits at a place, by at least `samples` new parts; `shifts` as in `points`."""
+        """The limits of a candidate, by runs of new parts.
+
+        Args:
+            place: the candidate, shape (free,).
+            model: surface that the runs correct.
+            samples: smallest number of parts.
+            seed: of the parts.
+            shifts: centres of rare regions (`points`).
+        """
         draw = lambda least: in_groups(self.question.freedom.names, least, seed, shifts)
         normal, weights, group = draw(samples)
         values = np.asarray(self.question.values(jnp.asarray(place), normal))

@@ -381,7 +381,13 @@ def _monotone(places: np.ndarray, values: np.ndarray) -> Callable:
 def first_crossing(
     function: Callable[[float], float], cycles: np.ndarray, limit: float
 ) -> float | None:
-    """Where a function of cycles first reaches a limit; None where it does not."""
+    """Number of cycles at which a function first reaches a limit; None where it does not.
+
+    Args:
+        function: of a number of cycles.
+        cycles: ends of the steps between which it is smooth.
+        limit: in the function's unit.
+    """
     from scipy.optimize import brentq
 
     shares = np.arange(LOOKS) / LOOKS

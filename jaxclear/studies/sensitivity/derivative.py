@@ -160,9 +160,17 @@ class Sensitivity(AbstractAnswer):
 def confirmed(
     response: str, variable: str, estimates: dict[str, Estimate], size: Size = Size()
 ) -> Derivative:
-    """One answer from the methods' answers: the regression, or else the most certain one without
-    doubt, if another method confirms it. Estimates in doubt that none confirms are refused. `size`:
-    beside what a derivative of zero is small."""
+    """One derivative from the estimates of several methods.
+
+    It is the regression's, or else the most certain one without doubt, if another method confirms
+    it.
+
+    Args:
+        response: its name.
+        variable: its name.
+        estimates: by method.
+        size: beside which a derivative of zero is small.
+    """
     estimates = _without_unconfirmed(estimates)
     order = sorted(_by_certainty(estimates, size), key=lambda name: name != WIDEST)
     # Errors hold what arithmetic leaves.

@@ -23,7 +23,16 @@ Piece = tuple[dict[str, np.ndarray], np.ndarray]
 def parse_accuracy(
     accuracy: Any, responses: tuple[str, ...], owner: str = "monte_carlo"
 ) -> Goals | None:
-    """What a user asks of the means. Raises `ValueError` with a sentence."""
+    """Required accuracies of means, by response; None for none.
+
+    Args:
+        accuracy: one number [1] for all, or numbers in units by response.
+        responses: their names.
+        owner: function in messages.
+
+    Raises:
+        ValueError: a name is unknown, or a number not above 0.
+    """
     if accuracy is None:
         return None
     if not isinstance(accuracy, Mapping):
@@ -122,9 +131,17 @@ def bias_of(
     share: float,
     statistic: Callable[[np.ndarray], float] = np.mean,
 ) -> tuple[float, float]:
-    """By how much a statistic is too large, and half of the 95 % interval of that: of what samples
-    (pairs,) gave, and `finer` runs of theirs with steps of a `share` [1]. The interval is that of
-    leaving out one pair after the other; of a mean that is Student's of the differences."""
+    """Bias of a statistic by the discretisation of runs, and half of its 95 % interval.
+
+    The interval is that of leaving out one pair after the other; of a mean, Student's of the
+    differences.
+
+    Args:
+        values: of samples, shape (pairs,).
+        finer: of their finer runs, shape (pairs,).
+        share: steps of the finer runs over those of the others [1].
+        statistic: function of values.
+    """
     count = len(values)
     difference = lambda mask: (statistic(values[mask]) - statistic(finer[mask])) / (1 - share)
     bias = float(difference(np.ones(count, bool))) if count else np.nan

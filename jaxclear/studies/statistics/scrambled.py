@@ -88,8 +88,13 @@ def half_width(parts: np.ndarray) -> float:
 def standard_error(
     statistic: Callable[[np.ndarray], float], values: np.ndarray, group: np.ndarray
 ) -> tuple[float, int]:
-    """Standard error of a statistic of `values` (samples,) whose scramblings are `group`
-    (samples,), and how many scramblings tell it."""
+    """Standard error of a statistic, and the number of scramblings from which it is.
+
+    Args:
+        statistic: function of values.
+        values: shape (samples,).
+        group: scrambling of each sample.
+    """
     parts = pseudo_values(lambda mask: statistic(values[mask]), group)
     count = len(parts)
     return float(parts.std(ddof=1) / np.sqrt(count)) if count > 1 else np.nan, count
@@ -113,9 +118,16 @@ def jackknifed(
     contributions: np.ndarray | None = None,
     grouped: bool = False,
 ) -> Statistic:
-    """A smooth function of means over the sample, with its interval; `contributions` (samples,) of
-    samples to it, to a factor and a summand, if they are known, as those to a mean are; `grouped`:
-    the function takes the scramblings beside the values."""
+    """A smooth function of means over the sample, with its interval.
+
+    Args:
+        statistic: function of values, and of scramblings where `grouped`.
+        values: shape (samples,) or (samples, columns).
+        group: scrambling of each sample.
+        contributions: of samples to the statistic, to a factor and a summand, shape (samples,), as
+            those to a mean are; None: unknown.
+        grouped: whether the function takes the scramblings as well.
+    """
     if len(values) < 2:
         return UNKNOWN
     of = statistic if grouped else lambda values, group: statistic(values)
@@ -173,11 +185,13 @@ def contributions_to_moments(values: np.ndarray, deviations: float) -> np.ndarra
 def deviation_of_moments(
     first: np.ndarray, second: np.ndarray, extra_variance: float = 0.0
 ) -> tuple[float, float]:
-    """A standard deviation and half of its 95 % interval from contributions (scramblings,) to the
-    first and second moment about one place; `extra_variance` is the variance of what else the
-    second holds.
+    """A standard deviation and half of its 95 % interval, from contributions to two moments.
 
     Squares of means are products of different scramblings, so that the variance has no bias.
+
+    Args:
+        first, second: contributions to the moments about one place, shape (scramblings,).
+        extra_variance: variance of further parts of the second moment.
     """
     count = len(first)
 
@@ -227,7 +241,13 @@ def ordinary_quantile(values: np.ndarray, share: float) -> float:
 
 
 def quantile(values: np.ndarray, group: np.ndarray, share: float) -> Statistic:
-    """The value that a share [1] of the responses does not exceed, with its interval."""
+    """The value that a share of the responses does not exceed, with its interval.
+
+    Args:
+        values: shape (samples,).
+        group: scrambling of each sample.
+        share: [1].
+    """
     count = len(values)
     if count < 2:
         return UNKNOWN
@@ -288,13 +308,17 @@ def capability(low: float | None, high: float | None) -> Callable[..., float]:
 def error_budget(
     values: np.ndarray, responses: np.ndarray, group: np.ndarray, groups: Mapping[str, Any]
 ) -> dict[str, Statistic]:
-    """Parts of the variance [response's unit squared] by variable, of `values` (samples,
-    variables) and `responses` (samples,), the rest last; they sum to the variance. `groups`: the
-    places of the numbers of each variable.
+    """Parts of the variance of a response by variable, the rest last; they sum to the variance.
 
     A plane through the responses has a slope by every variable; slope times deviation, squared, is
-    that variable's part. The remainder (curvature, interactions, chaos) stands beside them.
-    Of correlated variables a part holds half of what each pair shares, and may be negative.
+    that variable's part. The rest holds curvature, interactions and chaos. Of correlated variables
+    a part holds half of what each pair shares, and may be negative.
+
+    Args:
+        values: of the variables, shape (samples, variables).
+        responses: shape (samples,).
+        group: scrambling of each sample.
+        groups: columns of the numbers of each variable.
     """
 
     def part(which: list[int]) -> Any:

@@ -200,8 +200,15 @@ def refuse_part_of_spread(surface: ResponseSurface, outside: np.ndarray) -> None
 
 
 def open_share(surface: ResponseSurface, name: str, variance: float) -> tuple[float, float]:
-    """Which share [1] of the variance of a response a surface leaves open, which may belong to any
-    variable, and which its own `variance` is; 0 and 0 of a response that does not vary."""
+    """(share of the variance that a surface leaves unexplained, share that it explains) [1].
+
+    Both are 0 for a response that does not vary.
+
+    Args:
+        surface: with its error.
+        name: of the response.
+        variance: of the surface.
+    """
     error, values = surface.error(name) ** 2, surface.responses[name]
     if np.ptp(values) <= ROUNDING * np.abs(values).max():
         return 0.0, 0.0

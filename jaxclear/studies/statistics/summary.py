@@ -27,7 +27,13 @@ PERCENTILES = {"5 %": 0.05, "median": 0.5, "95 %": 0.95}
 
 
 def summary_row(study: Any, name: str, limits: Mapping[str, Limits]) -> dict[str, Any]:
-    """The row of a response in the summary of a study (`MonteCarlo`)."""
+    """The row of a response in the summary of a study.
+
+    Args:
+        study: a `MonteCarlo`.
+        name: of the response.
+        limits: by response; those of this one give its yield.
+    """
     values, group = study.good(name)
     warned = study.affected_samples(name)
     clean = np.setdiff1d(np.setdiff1d(np.arange(study.count), study.failed), warned)
