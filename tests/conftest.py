@@ -2,8 +2,7 @@
 otherwise, and compiled programs do not pile up. Most of a test is compiling, so what XLA compiles
 is optimised little (a third of the suite), kernels not at all (a seventh; as users' are where a
 test says so), and Python looks for cycles of garbage rarely (a twentieth). Flags of XLA that a user
-sets go before.
-"""
+sets go before."""
 
 import gc
 import os
@@ -25,6 +24,7 @@ LITTLE_OPTIMISED = (
     "--xla_cpu_use_fusion_emitters=false --xla_cpu_parallel_codegen_split_count=1"
 )
 # LLVM optimises a kernel three times as long as it writes its code.
+USERS_SPEED_LEVEL = object_code.SPEED_LEVEL
 object_code.SPEED_LEVEL = 0
 # Machine code is kept where a test is about that.
 os.environ["JAXCLEAR_CACHE"] = "0"
@@ -57,7 +57,7 @@ def few_programs():
 def optimised_kernels():
     """Kernels are optimised as users' are."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(object_code, "SPEED_LEVEL", 2)
+        patch.setattr(object_code, "SPEED_LEVEL", USERS_SPEED_LEVEL)
         yield
 
 

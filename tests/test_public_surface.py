@@ -1,6 +1,5 @@
 """The public surface is pinned: every public name with its signature, in
-refdata/public_surface.json. `python -m tests.test_public_surface` writes that file anew.
-"""
+refdata/public_surface.json. `python -m tests.test_public_surface` writes that file anew."""
 
 import dataclasses
 import enum
@@ -8,6 +7,7 @@ import importlib
 import inspect
 import json
 import pkgutil
+import pydoc
 import re
 from pathlib import Path
 from types import ModuleType
@@ -110,27 +110,10 @@ def test_public_module_says_what_it_offers(place):
 # A joint with wear, a product of laws, a scene, a mechanism and a solver on groups build these
 # themselves.
 INNER = {
-    "AbstractFreeVariable",
-    "AbstractLaw",
-    "AbstractLean",
-    "AbstractLikeIdeal",
-    "AbstractPlaceZone",
-    "AbstractRound",
-    "AbstractSurface",
-    "AbstractThreshold",
-    "AreaMap",
-    "AsNeeded",
-    "CylinderMap",
-    "FitSizes",
-    "ImpactMemory",
-    "JournalFilm",
-    "MobileJournal",
-    "_ServoOnMotor",
-    "PeriodicTorque",
-    "SphereMap",
-    "StepTorque",
-    "WallMap",
-    "ZoneVariable",
+    *("AbstractFreeVariable", "AbstractLaw", "AbstractLean", "AbstractLikeIdeal", "AreaMap"),
+    *("AbstractPlaceZone", "AbstractRound", "AbstractSurface", "AbstractThreshold", "AsNeeded"),
+    *("CylinderMap", "FitSizes", "ImpactMemory", "JournalFilm", "MobileJournal", "SphereMap"),
+    *("PeriodicTorque", "StepTorque", "WallMap", "ZoneVariable", "_ServoOnMotor"),
 }
 # A folder of samples remembers its problem by one.
 INNER |= {"RecordedExperiment", "RecordedVariable", "StateGroup"}
@@ -234,6 +217,16 @@ def test_signatures_name_types_as_they_are_typed():
     shown = [str(inspect.signature(f)) for f in functions if f.__name__ in jaxclear.__all__]
     assert shown and not re.findall(r"jaxclear(?:\.[a-z_]+){2,}", " ".join(shown))
     assert "mechanism: jaxclear.Mechanism" in " ".join(shown)
+
+
+@pytest.mark.parametrize("kind", [jaxclear.Problem, jaxclear.Trajectory, jaxclear.joint.Revolute])
+def test_help_of_a_class_shows_what_users_call(kind):
+    """Special methods are Python's and equinox's; a page of them hid those of a class."""
+    page = pydoc.render_doc(kind, renderer=pydoc.plaintext)
+    assert not re.findall(r"__\w+__", page)
+    head, summary = page.split("\n")[3], kind.__doc__.split("\n")[0]
+    assert not re.findall(r"jaxclear(?:\.[a-z_]+){2,}", head)
+    assert summary in "\n".join(page.split("\n")[:6])
 
 
 if __name__ == "__main__":

@@ -69,7 +69,7 @@ def scaled_contacts(problem: FrictionContact) -> Scaled:
     return Scaled(blocks, problem.split(free), blocks_of_contacts, problem.mu, rho, weight, size)
 
 
-def linearised(problem: Scaled, r: tuple, damping: Any) -> tuple[Array, list[Array]]:
+def linearise_laws(problem: Scaled, r: tuple, damping: Any) -> tuple[Array, list[Array]]:
     """What the laws of all contacts miss, and how that changes with the reactions.
 
     Args:

@@ -25,13 +25,13 @@ from jaxclear.complementarity.contact_states import (
     Scaled,
     laws_missed,
     least_solution,
-    linearised,
+    linearise_laws,
     scaled_contacts,
     with_derivatives,
 )
 from jaxclear.complementarity.friction_cone import natural_map, one_contact, project_on_cone
 from jaxclear.complementarity.friction_contact import FrictionContact
-from jaxclear.complementarity.problem import AbstractSolver, Outcome, Solution, size_of
+from jaxclear.complementarity.problem import AbstractSolver, Outcome, Solution, residual_size
 from jaxclear.ground.factorisation import eliminate
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.quantity import Scalar, quantity
@@ -136,7 +136,7 @@ def _residual(problem: Scaled, r: tuple) -> Array:
     for i, part in enumerate(r):
         natural = natural_map(part, problem.velocity(i, flat), problem.mu[i], problem.rho[i])
         sizes.append(jnp.max(jnp.abs(natural)) / problem.rho[i])
-    worst = jnp.max(jnp.stack(sizes)) / size_of(flat)
+    worst = jnp.max(jnp.stack(sizes)) / residual_size(flat)
     return jnp.where(jnp.isfinite(worst), worst, jnp.inf)
 
 
@@ -193,7 +193,7 @@ def _damped_newton_step(
     they are in, brought back into their cones, and halved until it misses the laws by less or
     `HALVINGS` are used up.
     """
-    value, lines = linearised(problem, r, damping)
+    value, lines = linearise_laws(problem, r, damping)
     if in_kernel:
         change = jnp.stack(eliminate(lines, value))
     else:

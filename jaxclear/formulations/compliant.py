@@ -32,6 +32,7 @@ from jaxclear.formulations.films_over_step import film_losses, films_of
 from jaxclear.formulations.impact_speed import ContactMotion, remembered
 from jaxclear.formulations.joint_friction import friction_losses, rubbing
 from jaxclear.formulations.laws_over_step import PastSlip
+from jaxclear.formulations.midpoint_step import WarmStart
 from jaxclear.formulations.model import Instant, Model, State
 from jaxclear.formulations.permanent_reactions import sliding_rates, touching
 from jaxclear.ground import sparse as sp
@@ -58,8 +59,8 @@ def _work_rates(model: Model, time: Any, entries: list, mean: list) -> list:
     the forces at a state's `entries`, over the `mean` speeds of the step that begins there."""
     system, layout = model.system, model.layout
     first, last = layout.coordinates, layout.memory_start
-    start, q, _ = _acting(model, time, entries)
-    middle = _acting(model, time, [*entries[:first], *mean, *entries[last:]])[0]
+    start, q, _ = _acting_forces(model, time, entries)
+    middle = _acting_forces(model, time, [*entries[:first], *mean, *entries[last:]])[0]
     work, loss, rubbed = 0, 0, 0
     # The rows of contacts come first.
     for row, name in zip(start.rows, system.bearings, strict=False):
@@ -124,13 +125,13 @@ class CompliantContact(AbstractFormulation):
         return (*mechanism.topology.clearances, *rubbing_in(mechanism.connections))
 
     def forces(self, instant: Instant):
-        forces = _acting(instant.model, instant.time, instant.entries)[0]
+        forces = _acting_forces(instant.model, instant.time, instant.entries)[0]
         if not rubbing_joints(instant.model.system):
             return forces
         return joint_friction.rubbing(instant.model, forces, instant.q).forces
 
     def contact(self, instant: Instant, name: str) -> ContactReport:
-        forces = _acting(instant.model, instant.time, instant.entries)[0]
+        forces = _acting_forces(instant.model, instant.time, instant.entries)[0]
         if name in instant.model.system.bearings:
             return clearance_contact(instant, forces, name)
         return joint_friction.contact(instant, forces, name)
@@ -155,7 +156,7 @@ class CompliantContact(AbstractFormulation):
         system, layout, entries = model.system, model.layout, model.entries(state)
         if shares is not None:
             flanks = shares[layout.joint_contacts :]
-        forces, q, v = _acting(model, time, entries, shares, flanks)
+        forces, q, v = _acting_forces(model, time, entries, shares, flanks)
         forces, solution, rubbing = joint_friction.solved(model, forces, q)
         reports = forces.reports
         normal = ([point.normal_force for point in report.points] for report in reports.values())
@@ -168,7 +169,7 @@ class CompliantContact(AbstractFormulation):
         ]
         points = [point for report in reports.values() for point in report.points]
         moving = [(point.indentation, point.rate) for point in points]
-        return sp.stack(rates), _stacked([*moving, *_flanks_of(forces.pressing)])
+        return sp.stack(rates), _stack_motions([*moving, *_motion_of_flanks(forces.pressing)])
 
     def contacts(
         self, model: Model, time: Any, state: State, flanks: Any = None, exact: bool = False
@@ -187,7 +188,7 @@ class CompliantContact(AbstractFormulation):
         Returns:
             a `ContactMotion`.
         """
-        motion = lambda time, state: _stacked(_row_motions(model, time, state, flanks))
+        motion = lambda time, state: _stack_motions(_row_motions(model, time, state, flanks))
         if exact and any(one.separates_by_torque for one in model.system.transmissions.values()):
             flow = self.rate(model, time, state, None, flanks)[0]
             depths = lambda *now: motion(*now).depths
@@ -309,7 +310,7 @@ class CompliantContact(AbstractFormulation):
                 entries[place] = speeds[i]
         return sp.stack(entries)
 
-    def warm_start(self, model: Model, time: Any, state: State) -> Float[Array, " h"]:
+    def warm_start(self, model: Model, time: Any, state: State) -> WarmStart:
         """Warm start of the first implicit step: no accelerations, and the contacts as they are.
 
         Args:
@@ -318,7 +319,7 @@ class CompliantContact(AbstractFormulation):
             state: the state, an array (n,).
 
         Returns:
-            numbers for `implicit_step`, an array.
+            arrays for `implicit_step`, a `WarmStart`.
         """
         entries = model.entries(state)
         motions = kinematics.link_motions(model.system, *unpack_motion(model.system, entries), time)
@@ -331,10 +332,10 @@ class CompliantContact(AbstractFormulation):
             depths=[point.gap_function.indentation for point in points], slips=slips
         )
         if rubbing_joints(model.system):
-            forces, q, _ = _acting(model, time, entries)
+            forces, q, _ = _acting_forces(model, time, entries)
             reactions = joint_friction.rubbing(model, forces, q).answer.reactions
             start = start._replace(reactions=reactions)
-        return sp.stack(jax.tree.leaves(start))
+        return start.packed()
 
     def caused_by_contact(self, model: Model, time: Any, state: State) -> tuple:
         """Accelerations without contact, and what contact adds to them, where a run begins.
@@ -359,32 +360,31 @@ class CompliantContact(AbstractFormulation):
         model: Model,
         time_step: TimeStep,
         state: State,
-        warm_start: Float[Array, " h"],
+        warm_start: WarmStart,
         bias: Any,
         newton_iterations: int,
-    ) -> tuple[State, Float[Array, " h"]]:
+    ) -> tuple[State, WarmStart]:
         """Take one implicit step.
 
         Args:
             model: the mechanism, a `Model`.
             time_step: the step, a `TimeStep`.
             state: the state at its beginning, an array (n,).
-            warm_start: what the step before has returned, an array.
+            warm_start: what the step before has returned, a `WarmStart`.
             bias: share by which mean contact forces lean towards the step's end [1]: 0 the mean, 1
                 the end.
             newton_iterations: number of iterations on the contact laws, >= 1.
 
         Returns:
-            the state at the end, an array (n,), and the warm start of the next step, an array.
+            the state at the end, an array (n,), and the warm start of the next step, a `WarmStart`.
         """
-        form = jax.tree.structure(midpoint_step.blank_start(model))
-        last = jax.tree.unflatten(form, unstacked(warm_start))
+        last = warm_start.unpacked(midpoint_step.blank_start(model))
         entries, how = model.entries(state), (bias, newton_iterations)
         after, now, motion = midpoint_step.step(model, time_step, entries, last, *how)
         if motion:
             contacts = ContactMotion(*map(sp.stack, zip(*motion, strict=True)))
             now = now._replace(forces=unstacked(self.normal_forces(model, state, contacts)))
-        return sp.stack(after), sp.stack(jax.tree.leaves(now))
+        return sp.stack(after), now.packed()
 
 
 def _row_motions(model: Model, time: Any, state: State, flanks: Any = None) -> list[tuple]:
@@ -402,17 +402,17 @@ def _row_motions(model: Model, time: Any, state: State, flanks: Any = None) -> l
     rows = [(*row[:2], row[2] if rub else ()) for rub, row in zip(rubs, points, strict=True)]
     if model.layout.plays:
         followed = unpack_followed(model.layout, entries, flanks)
-        rows += _flanks_of(pressing_of(system, motions, followed))
+        rows += _motion_of_flanks(pressing_of(system, motions, followed))
     return rows
 
 
-def _flanks_of(pressing: dict[str, Pressing]) -> list:
+def _motion_of_flanks(pressing: dict[str, Pressing]) -> list:
     """(depth, rate, no slip) of every flank."""
     flanks = (zip(each.depths, each.rates, strict=True) for each in pressing.values())
     return [(*pair, ()) for flank in flanks for pair in flank]
 
 
-def _acting(
+def _acting_forces(
     model: Model, time: Any, entries: list, shares: Any = None, flanks: Any = None
 ) -> tuple[Forces, tuple, tuple]:
     """(what acts but friction in ideal joints, coordinates and speeds by link)."""
@@ -435,7 +435,7 @@ def _with_shares(memories: dict, shares: Any) -> dict:
     return result
 
 
-def _stacked(points: list) -> ContactMotion:
+def _stack_motions(points: list) -> ContactMotion:
     """The motion of all contacts from (indentation, rate, ...) of each."""
     depths, rates = ([point[i] for point in points] for i in (0, 1))
     return ContactMotion(sp.stack(depths), sp.stack(rates))

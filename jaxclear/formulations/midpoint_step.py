@@ -65,7 +65,7 @@ from jaxclear.formulations.state_rate import (
 )
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.compiling import map_grouped, map_many
-from jaxclear.ground.grouping import MANY, unstacked
+from jaxclear.ground.grouping import LARGEST_UNROLLED, MANY, unstacked
 from jaxclear.ground.numerics import positive_part, safe_divide, safe_sqrt
 from jaxclear.multibody import kinematics
 from jaxclear.multibody.contact_point import (
@@ -120,14 +120,24 @@ class WarmStart(NamedTuple):
     there are contacts, and the normal forces [N] at its start where some contact damps.
     """
 
-    smooth: list
-    contact: list
-    depths: list
-    slips: list[tuple[PastSlip, ...]]
-    reactions: tuple[Reaction, ...]
-    films: list[tuple]
-    surplus: list
-    forces: list
+    smooth: Any
+    contact: Any
+    depths: Any
+    slips: Any
+    reactions: Any
+    films: Any
+    surplus: Any
+    forces: Any
+
+    def packed(self) -> "WarmStart":
+        """The same, each part an array, as steps hand it on."""
+        return WarmStart(*(sp.stack(jax.tree.leaves(part)) for part in self))
+
+    def unpacked(self, form: "WarmStart") -> "WarmStart":
+        """The same in numbers, of the `form` that they have in a step."""
+        pairs = zip(map(jax.tree.structure, form), self, strict=True)
+        least = LARGEST_UNROLLED
+        return WarmStart(*(jax.tree.unflatten(k, unstacked(part, least)) for k, part in pairs))
 
 
 def blank_start(model: Model) -> WarmStart:
@@ -183,10 +193,16 @@ class Step(NamedTuple):
 def step(
     model: Model, time_step: TimeStep, entries: list, last: WarmStart, bias: Any, iterations: int
 ) -> tuple[list, WarmStart, list]:
-    """Entries of the state after the step, what it hands on but for normal forces, and where some
-    contact damps (depth, rate) of each as the step begins; `last` is what it was handed, `bias`
-    that of the mean forces towards the step's end, `iterations` those of Newton's method on the
-    contact laws."""
+    """One implicit step: entries of the state after it, and its warm start for the next.
+
+    Args:
+        model: of the run.
+        time_step: start and length [s].
+        entries: of the state before it.
+        last: warm start of the step before.
+        bias: of mean forces towards the step's end [1].
+        iterations: of Newton's method on the contact laws.
+    """
     h = time_step.length
     averaging, model = Averaging(h, bias), without_films(model)
     accelerations = sp.each(lambda a, b: a + b, last.smooth, last.contact)
@@ -244,10 +260,17 @@ def step(
 
 
 def surplus(bias: Any, free: list, caused: list) -> list:
-    """By how much faster than its speeds places go at the end of a step, for each second of it:
-    b k_c / 2 of what contact `caused`, but of no more than it has to hold of the `free`
-    accelerations: an impact's speeds are what they are. Of what rests on a contact it is, times the
-    step, all of its speed, of opposite sign, to which a law would answer with damping."""
+    """By how much faster than their speeds places move at a step's end, per second of the step.
+
+    It is b k_c / 2, with k_c bounded by the free accelerations, as speeds in an impact are what
+    they are. For what rests on a contact it is, times the step, all of the speed, with opposite
+    sign, to which a law would respond with damping.
+
+    Args:
+        bias: b, of mean forces towards the step's end [1].
+        free: accelerations without contact.
+        caused: k_c, accelerations by contact.
+    """
     many = len(free) >= MANY
     square = lambda vector: jnp.sum(sp.stack(vector) ** 2) if many else sum(k * k for k in vector)
     squares = [square(vector) for vector in (free, caused)]

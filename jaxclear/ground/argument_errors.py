@@ -91,7 +91,18 @@ def with_new_arguments(owner: str, parameters: Container[str], args: dict) -> di
     return args
 
 
-class AnsweringMeta(ModuleMeta):
+class PublicMeta(ModuleMeta):
+    """Of classes of which `help` shows what users call, by the names that they type."""
+
+    def __dir__(cls) -> list[str]:
+        return [name for name in ModuleMeta.__dir__(cls) if not name.startswith("__")]
+
+    @property
+    def __signature__(cls) -> inspect.Signature:
+        return _with_offered_types(ModuleMeta.__signature__.fget(cls))  # type: ignore[attr-defined]
+
+
+class AnsweringMeta(PublicMeta):
     """Of classes that refuse wrong arguments with a sentence."""
 
     def __new__(mcs, name: str, bases: tuple, namespace: dict, **kwargs: Any):
@@ -161,14 +172,17 @@ def answering(function: Callable[P, R]) -> Callable[P, R]:
                 raise TypeError(sentence) from None
             raise
 
-    signature = inspect.signature(function)
+    signature = _with_offered_types(inspect.signature(function))
+    called.__signature__ = signature  # type: ignore[attr-defined]
+    return called
+
+
+def _with_offered_types(signature: inspect.Signature) -> inspect.Signature:
+    """A signature whose types have the names that users type."""
     declared = signature.parameters.values()
     parameters = [p.replace(annotation=_with_public_name(p.annotation)) for p in declared]
     returned = _with_public_name(signature.return_annotation)
-    called.__signature__ = signature.replace(  # type: ignore[attr-defined]
-        parameters=parameters, return_annotation=returned
-    )
-    return called
+    return signature.replace(parameters=parameters, return_annotation=returned)
 
 
 class _Offered:

@@ -12,13 +12,18 @@ import inspect
 import math
 from abc import abstractmethod
 from collections.abc import Callable, Iterator, Mapping
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import equinox as eqx
 import jax
 import numpy as np
 
 from jaxclear.ground.wording import described, public_name, unknown
+
+if TYPE_CHECKING:
+    from equinox._module._module import _ModuleMeta as PublicMeta
+else:
+    from jaxclear.ground.argument_errors import PublicMeta
 
 INDENT = " " * 6
 # Longest line [characters] that holds the parts of a thing, too.
@@ -123,7 +128,7 @@ WIDTH, MOST_LINES = 80, 12
 MOST_DIGITS, USER_DIGITS = 15, 10
 
 
-class AbstractShown(eqx.Module):
+class AbstractShown(eqx.Module, metaclass=PublicMeta):
     """What is shown in words and tables."""
 
     @abstractmethod

@@ -114,6 +114,8 @@ class Adaptive(AbstractIntegrator):
 
     pathwise: ClassVar = False
     projects: ClassVar = False
+    remedy: ClassVar = "tighten rtol"
+    notes_events: ClassVar = True
     solver: diffrax.AbstractSolver = eqx.field(
         default_factory=diffrax.Tsit5,
         metadata={"wanted": "a solver of diffrax, such as diffrax.Tsit5()"},
@@ -146,10 +148,6 @@ class Adaptive(AbstractIntegrator):
         sizes = lambda a: (a.rtol, a.atol)
         return eqx.tree_at(sizes, self, (self.rtol * finer, self.atol * finer))
 
-    @property
-    def remedy(self):
-        return "tighten rtol"
-
     def with_max_step(self, step):
         step = step if self.largest_step is None else jnp.minimum(step, self.largest_step)
         return eqx.tree_at(lambda a: a.largest_step, self, step, is_leaf=lambda x: x is None)
@@ -165,10 +163,6 @@ class Adaptive(AbstractIntegrator):
         return not isinstance(self.solver, diffrax.AbstractImplicitSolver)
 
     @property
-    def notes_events(self):
-        return True
-
-    @property
     def through_contacts(self):
         return stepped_by_hand(self.solver) is not None
 
@@ -180,8 +174,13 @@ class Adaptive(AbstractIntegrator):
         return CompliantContact()
 
     def first_warm_start(self, model, start, state):
-        """How long a step may be [s]; 0: not known. Where contacts may close, the mean of steps;
-        and the growth of derivatives."""
+        """The bound of the step length [s] (0: unknown); and where contacts may close, touch moves.
+
+        Args:
+            model: of the run.
+            start: of the run [s].
+            state: array at the start, shape (n,).
+        """
         through = model.layout.contacts and self.through_contacts
         return jnp.zeros(()), jnp.zeros(3) if through else None
 

@@ -30,7 +30,7 @@ from jaxclear.ground.outcome import Unknown
 from jaxclear.ground.quantity import Scalar, constant
 from jaxclear.ground.tangents import apply_if, pushed
 from jaxclear.integrators.events import no_peaks, noted, nothing, peaks, risen, since
-from jaxclear.integrators.saltation import Equations, Step, closed
+from jaxclear.integrators.saltation import Equations, Start, closed
 from jaxclear.native import while_loop
 from jaxclear.native.writer import LONGEST_IN_REGISTERS
 
@@ -202,12 +202,22 @@ def solve(
     ended: Callable = lambda state, _: state,
     ends: tuple[int, int] = (0, 0),
 ) -> Solved:
-    """As `diffrax.diffeqsolve` over a `span` (start, end, first step) [s], in `most` steps tried:
-    the same steps to rounding, each `ended(state, args)`. A derivative is that of a solution in
-    steps of its own, which are short enough for it too (`_WithDerivatives`): where a spring sets in
-    within a step that resolves the motion, or at rest, those of the motion are too long. How long
-    steps are is no part of it. nan where it does not reach the end. `ends`: of the coordinates and
-    of the speeds in a state."""
+    """As `diffrax.diffeqsolve`, the same steps to rounding; nan where it does not reach the end.
+
+    A derivative is that of a solution in steps of its own, which are short enough for it too
+    (`_WithDerivatives`): where a spring sets in within a step that resolves the motion, or at rest,
+    those of the motion are too long. The length of steps is not differentiated.
+
+    Args:
+        term: right side.
+        solver, controller: of diffrax.
+        span: start, end and first step [s].
+        state: at the start, shape (n,).
+        args: of the right side.
+        most: largest number of steps tried.
+        ended: `ended(state, args)`: the state that is kept after each step.
+        ends: ends of the coordinates and of the speeds in a state.
+    """
     numbers, rest = eqx.partition((solver, constant(controller)), eqx.is_array)
     solving = _Solving(term, rest, most, ended, ends)
 
@@ -517,27 +527,29 @@ class TakingImpactSpeeds(
 
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
         inner, before, peaks, events, growth = solver_state
-        step = Step(args[0], ContactMotion(*constant(before)), constant(t1 - t0))
-        times, y, inner, shift, aux = self._start(step, (t0, t1), y0, inner, args)
+        contacts = ContactMotion(*constant(before))
+        start = Start(args[0], t0, y0, constant(t1 - t0), contacts)
+        times, y, inner, shift, aux = self._start(start, t1, inner, args)
         y1, error, dense, inner, result = self.solver.step(terms, *times, y, aux, inner, made_jump)
         after: Any = constant(self.motion.contacts(args[0], t1, y1))
         # Flanks of play by how they count since the step began.
         end_motion = after
         if self.motion.sided:
-            end_motion = constant(self.motion.observe(args[0], t1, y1, step.shares))
+            end_motion = constant(self.motion.contacts(args[0], t1, y1, start.shares))
         length, half = t1 - t0, 0.5 * (t0 + t1)
         path = self.interpolation_cls(t0=t0, t1=t1, **constant(dense))
-        middle = self.motion.observe(args[0], half, path.evaluate(half), step.shares)
+        middle = self.motion.contacts(args[0], half, path.evaluate(half), start.shares)
         passage = Passage(*constant((before, middle, end_motion)))
         remembering = self.remember(y1, before, after, length, args)
         if events is not None:
             events = noted(events, *constant((t0, length, before, end_motion)))
         derived = remembering, growth, events
-        y1, inner, growth, events = self._ended(step, (t1, y1), inner, shift, derived)
+        end = start._replace(time=t1, state=y1)
+        y1, inner, growth, events = self._ended(end, inner, shift, derived)
         if self.derived is not None and self.motion.layout.plays:
             slope = lambda: terms.vf(t1, y1, (args[0], closed(after)))
-            inner = _renewed(inner, step.shares != closed(after), slope)
-        peaks = self._peaks((t0, y0), (t1, y1), args, (step.contacts, after), peaks)
+            inner = _renewed(inner, start.shares != closed(after), slope)
+        peaks = self._peaks((t0, y0), (t1, y1), args, (contacts, after), peaks)
         state_after = inner, after, peaks, events, growth
         return y1, Judged(error, passage), dense, state_after, result
 
@@ -554,22 +566,22 @@ class TakingImpactSpeeds(
         peaks = risen(largest, contacts.depths, forces)
         return peaks if self.derived else constant(peaks)
 
-    def _start(self, step, times, y, inner, args):
+    def _start(self, start, stop, inner, args):
         """(times, state, state of the solver, shift, args) of its step, as derivatives want it."""
         if self.derived is None:
-            return times, y, inner, None, args
+            return (start.time, stop), start.state, inner, None, args
         slopes, others = eqx.partition(inner, eqx.is_inexact_array)
-        y, slopes, shift = self.derived.shifted(step, (times[0], y), slopes)
-        times = tuple(time + shift for time in times)
-        return times, y, eqx.combine(slopes, others), shift, (args[0], step.shares)
+        y, slopes, shift = self.derived.shifted(start, slopes)
+        times = start.time + shift, stop + shift
+        return times, y, eqx.combine(slopes, others), shift, (args[0], start.shares)
 
-    def _ended(self, step, end, inner, shift, values):
+    def _ended(self, end, inner, shift, values):
         """(state, state of the solver, growth, events) with derivatives behind touches and
         releases, from the `values` (state, growth, events, error) before."""
         if self.derived is None:
             return values[0], inner, *values[1:]
         slopes, others = eqx.partition(inner, eqx.is_inexact_array)
-        y, slopes, *rest = self.derived.jumped(step, end, slopes, shift, *values)
+        y, slopes, *rest = self.derived.jumped(end, slopes, shift, *values)
         return y, eqx.combine(slopes, others), *rest
 
 

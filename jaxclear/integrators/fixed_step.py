@@ -6,6 +6,7 @@ One loop of few small arrays, the stages a loop within it: on a CPU it becomes o
 own time.
 """
 
+import functools
 from collections.abc import Callable
 from typing import Any, ClassVar
 
@@ -29,7 +30,6 @@ from jaxclear.ground.quantity import (
     on_host,
     quantity,
 )
-from jaxclear.ground.tangents import allow_first_derivative
 from jaxclear.integrators import munthe_kaas
 from jaxclear.integrators.base import (
     FIRST_ORDER,
@@ -43,11 +43,17 @@ from jaxclear.integrators.base import (
     divide,
     resolved,
 )
-from jaxclear.integrators.derivative_error import NO_SECOND, without_derivative
 from jaxclear.integrators.events import among, no_peaks, risen, since, watch_from, watched
 from jaxclear.integrators.munthe_kaas import state_group
-from jaxclear.integrators.saltation import NODES, WEIGHTS, through_touches
-from jaxclear.integrators.variational import not_resolved, resolved_steps, so_far, trust_resolved
+from jaxclear.integrators.saltation import NODES, WEIGHTS
+from jaxclear.integrators.variational import (
+    BESIDE,
+    THROUGH,
+    derived_steps,
+    not_resolved,
+    so_far,
+    trusted_steps,
+)
 from jaxclear.native import while_loop
 
 # The method on the group of the coordinates.
@@ -64,9 +70,16 @@ ORDERS = {"semi_implicit": 1, "heun": 2, "rk4": 4, ON_GROUP: 4}
 
 
 def near_contacts(contacts: Any, last: Any, longest: Any) -> Any:
-    """Whether each contact is closed, has parted within the last step, or would close within the
-    `longest` [s]: by its closing speed, and by how that has grown since the last step began (a load
-    ends a short flight however slowly it begins)."""
+    """Which contacts are closed, have parted within the last step, or may close soon.
+
+    They may by their closing speed, and by how that has grown since the last step began: a load
+    ends a short flight however slowly it begins.
+
+    Args:
+        contacts: their motion now.
+        last: their motion at the start of the last step, and its length [s]; None: unknown.
+        longest: time in which they may close [s].
+    """
     coming = jnp.maximum(contacts.rates, 0.0) * longest
     near = (contacts.depths >= 0) | (contacts.depths + coming > 0)
     if last is None:
@@ -95,16 +108,40 @@ def chosen_length(longest: Any, rest: tuple | None) -> Callable[[Any, Any], Any]
 def explicit_step(
     formulation: Any, method: str, model: Model, clock: tuple, y: Any, last: Any
 ) -> tuple:
-    """The length and the end of a step, and what it leaves to the next. `clock`: its start and the
-    longest length [s], and of what `chosen_length` chooses it by the contacts at its start and what
-    the last step left. Stages behind the first are a loop: however many, the equations stand in the
-    program twice, and what only the first decides is not worked out in the others."""
+    """One explicit step: its length [s], the state at its end, and what it hands on.
+
+    Stages behind the first are a loop, so the equations stand in the program twice however many
+    stages.
+
+    Args:
+        formulation: rate of the state.
+        method: name of the method.
+        model: of the run.
+        clock: start and largest length of the step [s], and settings of its choice by contacts.
+        y: state at its start, shape (n,).
+        last: contacts at the start of the last step and its length; None: contacts are not
+            looked at.
+    """
     time, h, rest = clock
-    length = chosen_length(h, rest)
+    looks = last is not None or rest is not None
+    if method != ON_GROUP:
+        slope, contacts = formulation.rate(model, time, y)
+    elif looks:
+        contacts = formulation.contacts(model, time, y)
+    if looks:
+        h = chosen_length(h, rest)(contacts, last)
+    if last is not None:
+        # Impact speeds of contacts that have closed in the last step, and deflections of bristles
+        # for their time in contact.
+        motions, length = (last[0], contacts), last[1]
+        if formulation.remembers(model):
+            y = formulation.remember(model, y, *motions, length)
+        if has_bristles(model):
+            y = put_right(formulation, model, (time, y), motions, (length, STAGES[method]))
+        last = contacts, h
+    rate = lambda time, y: formulation.rate(model, time, y)[0]
     if method == ON_GROUP:
-        looks = last is not None or rest is not None
-        return _step_on_group(formulation, model, (time, h, length if looks else None), y, last)
-    h, y, slope, last = _first_stage(formulation, method, model, (time, length), y, last)
+        return h, munthe_kaas.fixed_step(state_group(model), rate, time, h, y), last
     nodes, weights = (jnp.asarray(part) for part in STAGES[method])
     end = y + (h * weights[0]) * slope
     if method == "semi_implicit":
@@ -113,38 +150,11 @@ def explicit_step(
     def further(carry, stage):
         end, slope = carry
         node = nodes[stage] * h
-        slope = formulation.rate(model, time + node, y + node * slope)[0]
+        slope = rate(time + node, y + node * slope)
         return (end + (h * weights[stage]) * slope, slope), None
 
     stages = np.arange(1, len(STAGES[method][0]))
     return h, jax.lax.scan(further, (end, slope), stages)[0][0], last
-
-
-def _first_stage(
-    formulation: Any, method: str, model: Model, clock: tuple, y: Any, last: Any
-) -> tuple:
-    """The length [s] of a step that begins at a time, by the contacts there; the state with the
-    impact speeds of contacts that have closed in the last one, and with deflections of bristles for
-    their time in contact; its rate; what is left to the next step."""
-    time, length = clock
-    slope, contacts = formulation.rate(model, time, y)
-    h = length(contacts, last)
-    if last is None:
-        return h, y, slope, None
-    y = _taken_up(formulation, model, (time, y), (last[0], contacts), (last[1], STAGES[method]))
-    return h, y, slope, (contacts, h)
-
-
-def _taken_up(formulation: Any, model: Model, now: tuple, motions: tuple, step: tuple) -> Any:
-    """The state at a time with the impact speeds of contacts that have closed in the last step, and
-    with deflections of bristles for their time in contact. `motions`: the contacts at both its
-    ends; `step`: its length [s], and (nodes, weights) of its stages."""
-    time, y = now
-    if formulation.remembers(model):
-        y = formulation.remember(model, y, *motions, step[0])
-    if has_bristles(model):
-        y = put_right(formulation, model, (time, y), motions, step)
-    return y
 
 
 def _kicked(formulation: Any, model: Model, clock: tuple, y: Any, end: Any) -> Any:
@@ -158,24 +168,6 @@ def _kicked(formulation: Any, model: Model, clock: tuple, y: Any, end: Any) -> A
     m, first = model.layout.memory_start, model.layout.energy_start + 1
     powers = formulation.energy_rates(model, clock[0], y, 0.5 * (y[n:m] + after[n:m]))
     return jnp.concatenate([after[:first], y[first:] + h * powers])
-
-
-def _step_on_group(formulation: Any, model: Model, clock: tuple, y: Any, last: Any) -> tuple:
-    """As `explicit_step`; the contacts are looked at beforehand, where something depends on
-    them."""
-    time, h, length = clock
-    if length is not None:
-        contacts = formulation.contacts(model, time, y)
-        h = length(contacts, last)
-        if last is not None:
-            step = last[1], STAGES[ON_GROUP]
-            y = _taken_up(formulation, model, (time, y), (last[0], contacts), step)
-            last = contacts, h
-
-    def rate(time, y):
-        return formulation.rate(model, time, y)[0]
-
-    return h, munthe_kaas.fixed_step(state_group(model), rate, time, h, y), last
 
 
 # Step [s] of studies that ask for no other.
@@ -222,6 +214,7 @@ class FixedStep(AbstractIntegrator):
 
     pathwise: ClassVar = True
     projects: ClassVar = True
+    notes_events: ClassVar = True
     step: Scalar = quantity(USUAL_STEP, "s", above=0)
     method: str = eqx.field(static=True, default="rk4")
     steps_per_save: int | None = count(None, kw_only=True)
@@ -250,10 +243,6 @@ class FixedStep(AbstractIntegrator):
         return self.steps_per_save
 
     @property
-    def notes_events(self):
-        return True
-
-    @property
     def promise(self):
         if ORDERS[self.method] < 2:
             return FIRST_ORDER
@@ -280,20 +269,29 @@ class FixedStep(AbstractIntegrator):
         return CompliantContact()
 
     def first_warm_start(self, model, start, state):
-        """The contacts at the start of the last step, and its length [s]: a touch in it is found
-        where the next step begins; None where nothing looks at contacts. And what is known of the
-        motion beside the run, None where derivatives are those of the steps."""
-        if not model.layout.contacts:
-            return None, None, None
-        contacts = self.formulation.contacts(model, start, state)
-        if self._derived(model) and self.method != "rk4":
-            damped = self.formulation.damped(model)
-            separate = not_resolved(model.layout.size, len(contacts.depths), damped)
-            return contacts, jnp.ones(()), separate
-        return contacts, jnp.ones(()), None
+        """Contacts at the start of the last step, its length [s], and the motion beside the run.
 
-    def _derived(self, model):
-        return self.through_contacts and model.layout.contacts and not model.discrete
+        A touch in the last step is found where the next begins. Each is None where it is not
+        needed: without contacts, and where derivatives are those of the steps.
+
+        Args:
+            model: of the run.
+            start: of the run [s].
+            state: array at the start, shape (n,).
+        """
+        if not model.layout.contacts:
+            return None, None
+        contacts = self.formulation.contacts(model, start, state)
+        beside, damped = None, self.formulation.damped(model)
+        if self._derivative(model) == BESIDE:
+            beside = not_resolved(model.layout.size, len(contacts.depths), damped)
+        return (contacts, jnp.ones(())), beside
+
+    def _derivative(self, model):
+        """How derivatives go through contacts; None where they are those of the steps."""
+        if not self.through_contacts or not model.layout.contacts or model.discrete:
+            return None
+        return THROUGH if self.method == "rk4" else BESIDE
 
     @property
     def through_contacts(self):
@@ -305,135 +303,64 @@ class FixedStep(AbstractIntegrator):
         return self.beyond_touches(mechanism) if self.method == "rk4" else FLANKS
 
     def _stepped(self, model, so_far):
-        """A step behind these peaks, of ((time [s], lengths...), state, last, met)."""
+        """A step behind these peaks, of ((time [s], longest length [s], rest), state, last,
+        peaks)."""
         of_model, rest = packed(model)
         of_others, others = eqx.partition((self, constant(so_far)), eqx.is_array)
-        arrays = of_model, *of_others
+        kind = self._derivative(model)
 
-        def view(arrays):
-            return unpacked(arrays[0], rest), *eqx.combine(arrays[1:], others)
+        def plain(arrays, clock, y, last, peaks):
+            model, (part, _) = unpacked(arrays[0], rest), eqx.combine(arrays[1:], others)
+            h, end, now = explicit_step(part.formulation, part.method, model, clock, y, last[0])
+            # Loops of the motion are closed behind its touches.
+            if kind == BESIDE:
+                end = closed(model, clock[0] + h, end, h)
+            if peaks is not None:
+                forces = peaks.forces
+                if forces is not None:
+                    forces = part.formulation.normal_forces(model, end, now[0])
+                peaks = risen(peaks, now[0].depths, forces)
+            return h, end, (now, last[1]), peaks
 
-        def plain(arrays, clock, y, last):
-            model, part, _ = view(arrays)
-            return explicit_step(part.formulation, part.method, model, clock, y, last)
-
-        def look_at(arrays, end, peaks, steps):
-            """What was met of the contacts, from what two steps leave, the second of which ends so:
-            impact speeds that it has begun with are those at its end."""
-            if peaks is None:
-                return None
-            (after, *_), forces = steps[1], None
-            if peaks.forces is not None:
-                model, part, _ = view(arrays)
-                forces = part.formulation.normal_forces(model, end, after)
-            return risen(peaks, after.depths, forces)
-
-        if self._derived(model) and self.method != "rk4":
-            return self._step_resolved(rest, arrays, plain, look_at)
         length = lambda clock, *look_at: chosen_length(*clock[1:])(*look_at)
-        through = through_touches(self.formulation, rest, plain, length, look_at)
-
-        def step(clock, y, last, peaks):
-            before = None if last[0] is None else last[:2]
-            if self._derived(model):
-                h, end, now, peaks = through(arrays, clock, y, before, peaks)
-            else:
-                h, end, now = plain(arrays, clock, y, before)
-                peaks = look_at(arrays, end, peaks, (before, now))
-            return h, end, (*(now or (None, None)), None), peaks
-
-        return step
-
-    def _step_resolved(self, rest, arrays, plain, look_at):
-        """As `_stepped`, with the derivative of the motion beside the step."""
-
-        def alone(arrays, clock, y, last, peaks):
-            _, end, now = plain(arrays, (*clock, None), y, last)
-            end = closed(unpacked(arrays[0], rest), sum(clock), end, clock[1])
-            return end, now, look_at(arrays, end, peaks, (last, now))
-
-        resolved = resolved_steps(self.formulation, rest, alone)
-
-        def step(clock, y, last, peaks):
-            end, now, peaks, extra = resolved(arrays, clock[:2], y, last[:2], peaks, last[2])
-            return clock[1], end, (*now, extra), peaks
-
-        return step
-
-    def _trusted(self, model, end, peaks, watch, last):
-        """All that was found, where its derivative can be trusted; rates at events have none."""
-        if self._derived(model) and self.method != "rk4":
-            return trust_resolved(end, peaks, watch, last[2])
-        if not self._derived(model):
-            return end, peaks, watch
-        if watch.events is not None:
-            rates = without_derivative(watch.events.rates)
-            watch = watch._replace(events=watch.events._replace(rates=rates))
-        return allow_first_derivative(NO_SECOND, (end, peaks, watch))
+        step = derived_steps(kind, self.formulation, rest, plain, length)
+        return functools.partial(step, (of_model, *of_others))
 
     def advance(self, model, interval, state, warm_start):
-        steps, h = divide(interval, self.step, self.steps_per_save)
-        if self.contact_steps is not None:
-            return self._steps_that_meet_contacts(model, interval, h, state, warm_start)
-
-        step = self._stepped(model, interval.peaks)
+        steps, longest = divide(interval, self.step, self.steps_per_save)
+        step, kind = self._stepped(model, interval.peaks), self._derivative(model)
+        watch, peaks = watch_from(model, interval.start, state), None
+        if kind == BESIDE:
+            warm_start = so_far(warm_start)
+        if warm_start[0] is not None:
+            peaks = no_peaks(warm_start[0][0].depths, self.formulation.damped(model))
+            peaks = peaks if kind is None else since(interval.peaks, peaks)
+        stop, pace = interval.stop, self.contact_steps
+        shortest = None if pace is None else resolved(longest / pace, interval)
 
         def turn(carry):
-            index, start, last, peaks, watch = carry
-            time = interval.start + index * h
-            _, y, now, peaks = step((time, h, None), start, last, peaks)
-            if not (self._derived(model) and self.method != "rk4"):
-                y = closed(model, time + h, y, h)
-            watch = watched(watch, model, time, h, start, y)
-            return index + 1, y, now, peaks, watch
+            """Where contacts get short steps every sample goes at its own pace."""
+            index, time, start, last, peaks, watch = carry
+            rest = None if pace is None else (stop - time, shortest)
+            begin = interval.start + index * longest if pace is None else time
+            h, y, last, peaks = step((begin, longest, rest), start, last, peaks)
+            time = begin + h
+            if pace is not None:
+                # The step that was cut to what was left ends exactly at the end.
+                time = jnp.where(h == stop - begin, stop, time)
+            if kind != BESIDE:
+                y = closed(model, time, y, h)
+            return index + 1, time, y, last, peaks, watched(watch, model, begin, h, start, y)
 
-        if self._derived(model) and self.method != "rk4":
-            *starts, separate = warm_start
-            warm_start = *starts, so_far(separate)
-        watch = watch_from(model, interval.start, state)
-        peaks = self._first_peaks(model, warm_start, interval.peaks)
-        first = (jnp.zeros((), int), state, warm_start, peaks, watch)
+        first = jnp.zeros((), int), interval.start, state, warm_start, peaks, watch
         if self.steps_per_save is None:
-            _, end, last, peaks, watch = while_loop(lambda carry: carry[0] < steps, turn, first)
+            unfinished = lambda carry: carry[0] < steps if pace is None else carry[1] < stop
+            steps, _, end, last, peaks, watch = while_loop(unfinished, turn, first)
         else:
             scanned = lambda index, carry: turn((index, *carry))[1:]
-            end, last, peaks, watch = counted(scanned, self.steps_per_save, first[1:])
-        results = end, self._all_peaks(model, peaks, interval.peaks), watch
-        end, peaks, watch = self._trusted(model, *results, last)
+            _, end, last, peaks, watch = counted(scanned, self.steps_per_save, first[1:])
+        if peaks is not None and kind is None:
+            # With the derivatives of those of the run.
+            peaks = among(interval.peaks, peaks)
+        end, peaks, watch = trusted_steps(kind, end, peaks, watch, last)
         return arrived(end, steps, last, peaks, watch)
-
-    def _steps_that_meet_contacts(self, model, interval, longest, state, warm_start):
-        """Every sample at its own pace."""
-        stop, step = interval.stop, self._stepped(model, interval.peaks)
-        shortest = resolved(longest / self.contact_steps, interval)
-
-        def one(carry):
-            time, steps, start, last, peaks, watch = carry
-            h, y, now, peaks = step((time, longest, (stop - time, shortest)), start, last, peaks)
-            # The step that was cut to what was left ends exactly at the end.
-            begin, time = time, jnp.where(h == stop - time, stop, time + h)
-            y = closed(model, time, y, h)
-            watch = watched(watch, model, begin, h, start, y)
-            return time, steps + 1, y, now, peaks, watch
-
-        peaks = self._first_peaks(model, warm_start, interval.peaks)
-        watch = watch_from(model, interval.start, state)
-        first = (interval.start, jnp.zeros((), int), state, warm_start, peaks, watch)
-        _, steps, end, last, peaks, watch = while_loop(lambda carry: carry[0] < stop, one, first)
-        outputs = end, self._all_peaks(model, peaks, interval.peaks), watch
-        end, peaks, watch = self._trusted(model, *outputs, last)
-        return arrived(end, steps, last, peaks, watch)
-
-    def _first_peaks(self, model, last, so_far):
-        """What was met before the first step, behind these peaks of the run; None where nothing
-        looks at contacts."""
-        if last[0] is None:
-            return None
-        depths = last[0].depths
-        first_depths = no_peaks(depths, self.formulation.damped(model))
-        return since(so_far, first_depths) if self._derived(model) else first_depths
-
-    def _all_peaks(self, model, peaks, so_far):
-        """What was met in an interval, its peaks with the derivatives of those of the run."""
-        plain_step = peaks is None or self._derived(model)
-        return peaks if plain_step else among(so_far, peaks)

@@ -1,5 +1,6 @@
 """Implicit steps through stiff contacts: their length follows the motion, not the stiffness."""
 
+import functools
 from typing import Any, ClassVar
 
 import equinox as eqx
@@ -20,7 +21,13 @@ from jaxclear.ground.numerics import positive_part
 from jaxclear.ground.quantity import Scalar, constant, count, on_device, on_host, quantity
 from jaxclear.integrators.base import AbstractIntegrator, arrived, counted, divide, march
 from jaxclear.integrators.events import Peaks, among, no_peaks, risen, since, watch_from, watched
-from jaxclear.integrators.variational import not_resolved, resolved_steps, so_far, trust_resolved
+from jaxclear.integrators.variational import (
+    BESIDE,
+    derived_steps,
+    not_resolved,
+    so_far,
+    trusted_steps,
+)
 from jaxclear.multibody.state import unpack_motion
 from jaxclear.multibody.system import System, prepare
 
@@ -81,6 +88,8 @@ class ImplicitStep(AbstractIntegrator):
 
     pathwise: ClassVar = True
     projects: ClassVar = True
+    notes_events: ClassVar = True
+    opens_loops: ClassVar = True
     step: Scalar = quantity(1e-4, "s", above=0)
     rebound: Scalar = quantity(0.95, "1", at_least=0, at_most=1, kw_only=True)
     newton_iterations: int | None = count(None, kw_only=True)
@@ -90,10 +99,6 @@ class ImplicitStep(AbstractIntegrator):
         if self.steps_per_save is not None:
             return None
         return eqx.tree_at(lambda a: a.step, self, on_device(share * on_host(self.step)))
-
-    @property
-    def opens_loops(self):
-        return True
 
     @property
     def formulation(self):
@@ -108,84 +113,61 @@ class ImplicitStep(AbstractIntegrator):
         return self.step if self.steps_per_save is None else None
 
     @property
-    def notes_events(self):
-        return True
-
-    @property
     def steps_between_saves(self):
         return self.steps_per_save
 
     def first_warm_start(self, model, start, state):
-        """What warm-starts a step; and what is known of the motion beside the run, None where no
-        derivatives go through contacts."""
+        """Warm start of the first step, and the motion beside the run.
+
+        The second is None where no derivatives go through contacts.
+
+        Args:
+            model: of the run.
+            start: of the run [s].
+            state: array at the start, shape (n,).
+        """
         last = self.formulation.warm_start(model, start, state)
         last = self._fixed(model, start, state, last)
-        if not self._derived(model):
+        if self._derivative(model) is None:
             return last, None
         separate = not_resolved(
             model.layout.size, model.layout.joint_contacts, damped(model.system)
         )
         return last, separate
 
-    def _derived(self, model):
+    def _derivative(self, model):
+        """How derivatives go through contacts; None where they are those of the steps."""
         wet = {film.connection for film in films_of(model.system).values()}
         dry = not wet.issuperset(model.system.bearings)
-        return self.through_contacts and dry and not model.discrete
+        return BESIDE if self.through_contacts and dry and not model.discrete else None
 
     @property
     def through_contacts(self):
         return self.steps_per_save is None
 
     def _stepped(self, model):
-        """A step, as a function of (its start and length [s], state, last, met)."""
+        """A step, as a function of (its start and length [s], state, last, peaks)."""
         of_model, rest = packed(model)
         arrays_of, others = eqx.partition(self, eqx.is_array)
-        arrays = of_model, arrays_of
-        depths, damps = _depths(model), damped(model.system)
 
         def plain(arrays, clock, y, last, peaks):
             model, method = unpacked(arrays[0], rest), eqx.combine(arrays[1], others)
             how = method._bias, method._iterations(model.system)
+            last, beside = last
             end, now = method.formulation.implicit_step(model, TimeStep(*clock), y, last, *how)
             end = closed(model, sum(clock), end, clock[1])
-            if peaks is None:
-                return end, now, None
-            forces = now[-model.layout.joint_contacts :] if damps else None
-            return end, now, risen(peaks, now[depths], forces)
+            peaks = None if peaks is None else risen(peaks, now.depths, now.forces)
+            return clock[1], end, (now, beside), peaks
 
-        if not self._derived(model):
-
-            def alone(clock, y, last, peaks):
-                end, now, peaks = plain(arrays, clock, y, last[0], peaks)
-                return end, (now, None), peaks
-
-            return alone
-        step = resolved_steps(self.formulation, rest, plain)
-
-        def derived(clock, y, last, peaks):
-            end, now, peaks, separate = step(arrays, clock, y, last[0], peaks, last[1])
-            return end, (now, separate), peaks
-
-        return derived
-
-    def _trusted(self, model, end, peaks, watch, last):
-        """All that was found, where its derivative can be trusted; events have none."""
-        split = last[1]
-        return (end, peaks, watch) if split is None else trust_resolved(end, peaks, watch, split)
+        step = derived_steps(self._derivative(model), self.formulation, rest, plain, None)
+        return functools.partial(step, (of_model, arrays_of))
 
     def _fixed(self, model, start, state, last):
         """A warm start that knows what contacts hold where a run begins."""
         if not model.layout.joint_contacts:
             return last
-        free, caused = self.formulation.caused_by_contact(model, start, state)
-        return last.at[self._surplus(model, last)].set(
-            sp.stack(surplus(self._bias, unstacked(free), unstacked(caused)))
-        )
-
-    def _surplus(self, model, last):
-        """Where a warm start holds its surplus."""
-        end = len(last) - (model.layout.joint_contacts if damped(model.system) else 0)
-        return slice(end - model.layout.speeds, end)
+        free, caused = map(unstacked, self.formulation.caused_by_contact(model, start, state))
+        return last._replace(surplus=sp.stack(surplus(self._bias, free, caused)))
 
     def _sped_up(self, model, state, last, length):
         """A state whose speeds are, at saving times, those with which places change: within steps
@@ -194,7 +176,7 @@ class ImplicitStep(AbstractIntegrator):
         if not model.layout.joint_contacts:
             return state
         speeds = slice(model.layout.coordinates, model.layout.memory_start)
-        return state.at[speeds].add(length * constant(last[self._surplus(model, last)]))
+        return state.at[speeds].add(length * constant(last.surplus))
 
     def evaluations(self, mechanism):
         """The middle of a step, and the iterations on its contacts."""
@@ -216,51 +198,43 @@ class ImplicitStep(AbstractIntegrator):
     def advance(self, model, interval, state, warm_start):
         steps, h = divide(interval, self.step, self.steps_per_save)
         step, contacts = self._stepped(model), model.layout.joint_contacts
-        last, separate = warm_start
+        kind, (last, beside), peaks = self._derivative(model), warm_start, None
         state = self._sped_up(model, state, last, -h)
-        highest = None
+        before = _of_joints(model, interval.peaks)
         if contacts:
-            last = last.at[_depths(model)].set(_worn_deeper(model, interval.start, state, last))
-            first_depths = positive_part(last[_depths(model)])
+            last = last._replace(depths=_worn_deeper(model, interval.start, state, last.depths))
+            first_depths = positive_part(last.depths)
             peaks = no_peaks(first_depths, damped(model.system))._replace(depths=first_depths)
-            derived = self._derived(model)
-            highest = since(_of_joints(model, interval.peaks), peaks) if derived else peaks
+            peaks = peaks if kind is None else since(before, peaks)
 
         def one(index, state, carried):
             last, peaks, watch = carried
             time = interval.start + index * h
-            end, last, peaks = step((time, h), state, last, peaks)
+            _, end, last, peaks = step((time, h), state, last, peaks)
             return end, (last, peaks, watched(watch, model, time, h, state, end))
 
-        separate = None if separate is None else so_far(separate)
-        carried = (last, separate), highest, watch_from(model, interval.start, state)
+        last = (last, None) if kind is None else so_far((last, beside))
+        carried = last, peaks, watch_from(model, interval.start, state)
         if self.steps_per_save is None:
-            end, (last, highest, watch) = march(one, steps, state, carried)
+            end, (last, peaks, watch) = march(one, steps, state, carried)
         else:
             turn = lambda index, carry: one(index, *carry)
-            end, (last, highest, watch) = counted(turn, self.steps_per_save, (state, carried))
-        if contacts and not self._derived(model):
-            highest = among(_of_joints(model, interval.peaks), highest)
+            end, (last, peaks, watch) = counted(turn, self.steps_per_save, (state, carried))
+        if contacts and kind is None:
+            peaks = among(before, peaks)
         end = self._sped_up(model, end, last[0], h)
-        end, highest, watch = self._trusted(model, end, highest, watch, last)
-        return arrived(end, steps, last, highest, watch)
+        end, peaks, watch = trusted_steps(kind, end, peaks, watch, last)
+        return arrived(end, steps, last, peaks, watch)
 
 
-def _worn_deeper(model: Model, time: Any, state: State, last: Array) -> Array:
+def _worn_deeper(model: Model, time: Any, state: State, depths: Array) -> Array:
     """The indentations that a step is handed where an interval begins: of surfaces that wear those
     that are left of what the interval before has lowered. A step knows them from the one before."""
-    depths = last[_depths(model)]
     if not model.worn:
         return depths
     motion = unpack_motion(model.system, model.entries(state))
     depths_now = sp.stack(contact_rows.indentations(model, time, *motion))
     return jnp.where(depths > 0, depths_now, depths)
-
-
-def _depths(model: Model) -> slice:
-    """Where a warm start holds the indentations: behind the accelerations."""
-    first = 2 * model.layout.speeds
-    return slice(first, first + model.layout.joint_contacts)
 
 
 def _of_joints(model: Model, peaks: Peaks | None) -> Peaks | None:

@@ -70,17 +70,14 @@ class AbstractGroup(AbstractQuantified):
         """
 
 
-class Span(NamedTuple):
-    """A piece of the state: where its coordinates, its increments and (of a group) its speeds
-    begin, and how many there are.
-    """
+class Part(NamedTuple):
+    """A part of the state: where its coordinates, its increments and (of a group) its speeds are;
+    of a group the number of its joint."""
 
     joint: int | None
-    coordinates: int
-    increments: int
-    speeds: int
-    size: int
-    width: int
+    coordinates: range
+    increments: range
+    speeds: range
 
 
 class StateGroup(AbstractGroup):
@@ -89,95 +86,83 @@ class StateGroup(AbstractGroup):
     """
 
     joints: tuple[AbstractGroupJoint, ...]
-    spans: tuple[Span, ...] = eqx.field(static=True)
+    parts: tuple[Part, ...] = eqx.field(static=True)
 
     def moved(self, y, increment):
         return self._each(
-            lambda span: _coordinates(y, span) + _increments(increment, span),
-            lambda joint, span: joint.moved(_of_q(y, span), _of_v(increment, span)),
+            lambda part: _cut(y, part.coordinates) + _cut(increment, part.increments),
+            lambda joint, part: joint.moved(
+                _entries(y, part.coordinates), _entries(increment, part.increments)
+            ),
         )
 
     def bracket(self, a, b):
         if not self.joints:
             return None
         return self._each(
-            lambda span: jnp.zeros(span.width),
-            lambda joint, span: joint.bracket(_of_v(a, span), _of_v(b, span)),
+            lambda part: jnp.zeros(len(part.increments)),
+            lambda joint, part: joint.bracket(
+                _entries(a, part.increments), _entries(b, part.increments)
+            ),
         )
 
     def tangent(self, y, increment):
         return self._each(
-            lambda span: _increments(increment, span),
-            lambda joint, span: joint.rate(_of_q(y, span), _of_v(increment, span)),
+            lambda part: _cut(increment, part.increments),
+            lambda joint, part: joint.rate(
+                _entries(y, part.coordinates), _entries(increment, part.increments)
+            ),
         )
 
     def rates(self, y: Float[Array, " n"], rates: Float[Array, " n"]) -> Float[Array, " m"]:
         """Rates of the increments from the state and its own rates: a group's are its speeds."""
         return self._each(
-            lambda span: _coordinates(rates, span),
-            lambda _, span: _entries(y, span.speeds, span.width),
+            lambda part: _cut(rates, part.coordinates), lambda _, part: _entries(y, part.speeds)
         )
 
     def _each(self, plain: Callable, grouped: Callable) -> Array:
-        """The spans' parts in their order: arrays of the plain ones, scalars of the joints."""
+        """The parts in their order: arrays of the plain ones, scalars of the joints."""
         return jnp.concatenate(
             [
-                plain(s) if s.joint is None else sp.stack(grouped(self.joints[s.joint], s))
-                for s in self.spans
+                plain(p) if p.joint is None else sp.stack(grouped(self.joints[p.joint], p))
+                for p in self.parts
             ]
         )
 
 
-def _coordinates(y, span):
-    return y[span.coordinates : span.coordinates + span.size]
+def _cut(values, places):
+    return values[places.start : places.stop]
 
 
-def _increments(u, span):
-    return u[span.increments : span.increments + span.width]
-
-
-def _of_q(y, span):
-    return _entries(y, span.coordinates, span.size)
-
-
-def _of_v(u, span):
-    return _entries(u, span.increments, span.width)
-
-
-def _entries(values, start, count):
-    return tuple(values[start + i] for i in range(count))
+def _entries(values, places):
+    return tuple(values[i] for i in places)
 
 
 def state_group(model: Model) -> StateGroup:
     """The group of a model's states."""
-    topology, spans = model.system.topology, []
-    joints: list[AbstractGroupJoint] = []
+    topology, parts, joints = model.system.topology, list[Part](), list[AbstractGroupJoint]()
     done = used = 0
 
-    def plain_until(end):
+    def add(joint, size, width, speeds=range(0)):
         nonlocal done, used
+        places = range(done, done + size), range(used, used + width)
+        parts.append(Part(joint, *places, speeds))
+        done, used = done + size, used + width
+
+    def add_plain_until(end):
         if end > done:
-            spans.append(Span(None, done, used, 0, end - done, end - done))
-            done, used = end, used + end - done
+            add(None, end - done, end - done)
 
     for branch, link in zip(topology.branches, model.system.links, strict=True):
-        size, width = (part.stop - part.start for part in (branch.coordinates, branch.speeds))
-        if isinstance(link.joint, AbstractGroupJoint) and size:
-            plain_until(branch.coordinates.start)
-            spans.append(
-                Span(
-                    len(joints),
-                    done,
-                    used,
-                    topology.coordinate_count + branch.speeds.start,
-                    size,
-                    width,
-                )
-            )
+        places, speeds = branch.coordinates, branch.speeds
+        if isinstance(link.joint, AbstractGroupJoint) and places.stop > places.start:
+            add_plain_until(places.start)
+            first, count = topology.coordinate_count + speeds.start, speeds.stop - speeds.start
+            size = places.stop - places.start
+            add(len(joints), size, count, range(first, first + count))
             joints.append(link.joint)
-            done, used = done + size, used + width
-    plain_until(model.layout.size)
-    return StateGroup(tuple(joints), tuple(spans))
+    add_plain_until(model.layout.size)
+    return StateGroup(tuple(joints), tuple(parts))
 
 
 class Tableau(NamedTuple):
@@ -345,10 +330,16 @@ def group_of(term: Any) -> AbstractGroup:
 def fixed_step(
     group: StateGroup, rate_of: Callable, time: Any, h: Any, y: Float[Array, " n"]
 ) -> Float[Array, " n"]:
-    """The state after a step h [s] of order 4, without an estimate of its error; `rate_of(time,
-    y)`: the state's rate."""
+    """The state after one step of order 4, without an estimate of its error.
+
+    Args:
+        group: which parts of the state are rotations and poses.
+        rate_of: function of time and state: the state's rate.
+        time, h: start and length of the step [s].
+        y: state at its start.
+    """
     table = TABLEAUS[4]
-    unknown = jnp.zeros(sum(span.width for span in group.spans))
+    unknown = jnp.zeros(group.parts[-1].increments.stop)
 
     def rate(share, y):
         return group.rates(y, rate_of(time + share * h, y))

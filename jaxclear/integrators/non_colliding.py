@@ -56,22 +56,17 @@ class NonColliding(AbstractIntegrator):
 
     pathwise: ClassVar = True
     projects: ClassVar = True
+    promise: ClassVar = PERMANENT
+    first_order_slopes: ClassVar = True
+    opens_loops: ClassVar = True
     step: Scalar = quantity(1e-3, "s", above=0)
     max_sweeps: Scalar = quantity(20_000.0, "1", at_least=1, kw_only=True)
     tolerance: Scalar = quantity(1e-13, "1", above=0, kw_only=True)
     relaxation: Scalar | None = quantity(None, "1", above=0, kw_only=True)
     regularised: bool = eqx.field(static=True, default=False, kw_only=True)
 
-    @property
-    def promise(self):
-        return PERMANENT
-
     def with_finer_steps(self, share):
         return eqx.tree_at(lambda a: a.step, self, on_device(share * on_host(self.step)))
-
-    @property
-    def opens_loops(self):
-        return True
 
     @property
     def formulation(self):
@@ -79,10 +74,6 @@ class NonColliding(AbstractIntegrator):
 
     def requested_step(self):
         return self.step
-
-    @property
-    def first_order_slopes(self):
-        return True
 
     def beyond_flanks(self, mechanism):
         # The motion is the ideal one; play is added to it.

@@ -61,14 +61,17 @@ NEAR = 200.0
 FIRST = 3
 
 
-class Step(NamedTuple):
-    """A step of a model with these arrays: how its contacts were at the start, and its length [s],
-    both without derivatives. `acting`: 1 for a contact that counts as closed, 0 for one that does
-    as apart (None: as its indentation has it)."""
+class Start(NamedTuple):
+    """Where a step, or a part of one, of a model with these arrays begins: `time` [s], state,
+    length [s], the `contacts` there, without derivatives, and which of these act within it: 1 for a
+    contact that counts as closed, 0 for one that does as apart (None: as its indentation has
+    it)."""
 
     arrays: Any
-    contacts: ContactMotion
+    time: Scalar
+    state: Any
     length: Scalar
+    contacts: ContactMotion
     acting: Any = None
 
     @property
@@ -81,11 +84,11 @@ class Equations(NamedTuple):
     """Of a model, by its arrays, with derivatives: `rates(arrays, shares, time, state)`, and what
     goes around a step, where `slopes` holds the slope with which the next one begins, if any.
 
-    `shifted(step, (time, state), slopes)`: state and slopes at its start, at times that move by the
-    derivative of a third number, which is 0; `jumped(step, (time, state), slopes, shift,
-    remembering, growth, events)`: the state with its impact speeds, the slopes, the growth (see
-    `derivative_error`) and the events noted so far (None: none are) at the end, at a fixed time
-    behind touches and releases there.
+    `shifted(start, slopes)`: state and slopes at its start, at times that move by the derivative of
+    a third number, which is 0; `jumped(end, slopes, shift, remembering, growth, events)`: the state
+    with its impact speeds, the slopes, the growth (see `derivative_error`) and the events noted so
+    far (None: none are) at the end, a `Start` with the contacts and shares of the step, at a fixed
+    time behind touches and releases there.
     """
 
     rates: Callable
@@ -94,22 +97,17 @@ class Equations(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """Rates as a function of (arrays, shares, time, state), the motion of contacts as one of
-    (arrays, time, state), normal forces of contacts that damp as one of (arrays, state, motion).
-    `near`: as contacts, of flanks that are left by their torque without the rates of their depths,
-    for which equations of motion are solved; `joints`: those of joints alone. `observe`: contacts
-    as functions of (arrays, time, state, shares), of flanks of play by whether they count as
-    pressing; `depths`: theirs alone; `sided`: whether that makes a difference."""
+    """Of a model: rates as a function of (arrays, shares, time, state), its contacts as one of
+    (arrays, time, state, shares, exact), slips as one of (arrays, time, state), normal forces of
+    contacts that damp as one of (arrays, state, motion); `sided`: whether flanks of play are left
+    by their torque, so that their depths depend on whether they count as pressing, and their rates
+    on the equations of motion."""
 
     rates: Callable
-    contacts: Callable
+    observed: Callable
     slips: Callable
     pressing: Callable
     layout: Layout
-    near: Callable
-    joints: Callable
-    observe: Callable
-    depths: Callable
     sided: bool
 
     @property
@@ -117,20 +115,44 @@ class Motion(NamedTuple):
         """Whether some contact remembers the speed with which it was met."""
         return any(place is not None for place in impact_speed_places(self.layout))
 
+    def contacts(
+        self, arrays: Any, time: Any, y: Any, shares: Any = None, exact: bool = True
+    ) -> ContactMotion:
+        """The motion of the contacts.
+
+        Args:
+            arrays: of the model.
+            time: instant [s].
+            y: state, shape (n,).
+            shares: 1 for flanks that count as pressing, 0 for others; None: by their positions.
+            exact: whether rates are those of the depths, for which equations of motion are solved.
+        """
+        shares, exact = (shares, exact) if self.sided else (None, True)
+        return self.observed(arrays, time, y, shares, exact)
+
+    def near(self, arrays: Any, time: Any, y: Any) -> ContactMotion:
+        """The motion of the contacts, with rates for which no equations of motion are solved.
+
+        Args:
+            arrays: of the model.
+            time: instant [s].
+            y: state, shape (n,).
+        """
+        return self.contacts(arrays, time, y, None, False)
+
 
 def motion_of(formulation: CompliantContact, rest: Any) -> Motion:
     """How a model moves, of which this is the `rest` beside its arrays."""
+    model = bare(rest)
 
     @jax.jit
-    def counted(arrays, shares, time, y):
+    def rates(arrays, shares, time, y):
         return formulation.rate(unpacked(arrays, rest), time, y, shares)[0]
 
-    # Of joints rates follow from the geometry alone.
-    how = {"exact": True} if bare(rest).layout.plays else {}
-
-    @jax.jit
-    def contacts(arrays, time, y):
-        return formulation.contacts(unpacked(arrays, rest), time, y, **how)
+    @functools.partial(jax.jit, static_argnums=4)
+    def observed(arrays, time, y, shares, exact):
+        flanks = None if shares is None else shares[model.layout.joint_contacts :]
+        return formulation.contacts(unpacked(arrays, rest), time, y, flanks, exact)
 
     @jax.jit
     def slips(arrays, time, y):
@@ -140,57 +162,39 @@ def motion_of(formulation: CompliantContact, rest: Any) -> Motion:
     def pressing(arrays, y, motion):
         return formulation.normal_forces(unpacked(arrays, rest), y, motion)
 
-    if not bare(rest).layout.plays:
-        view = lambda arrays, time, y, _: contacts(arrays, time, y)
-        depths = lambda *now: view(*now).depths
-        same = contacts, contacts, view, depths
-        return Motion(counted, contacts, slips, pressing, bare(rest).layout, *same, sided=False)
-    count = bare(rest).layout.joint_contacts
-
-    @jax.jit
-    def by_shares(arrays, time, y, shares):
-        return formulation.contacts(unpacked(arrays, rest), time, y, shares[count:], **how)
-
-    @jax.jit
-    def near(arrays, time, y, shares=None):
-        flanks = None if shares is None else shares[count:]
-        return formulation.contacts(unpacked(arrays, rest), time, y, flanks)
-
-    def joints(*now):
-        depths, rates = near(*now)
-        return ContactMotion(depths[:count], rates[:count])
-
-    sided = any(t.separates_by_torque for t in bare(rest).system.transmissions.values())
-    view = by_shares if sided else lambda arrays, time, y, _: contacts(arrays, time, y)
-    t = near, joints, view, lambda *now: near(*now).depths
-    return Motion(counted, contacts, slips, pressing, bare(rest).layout, *t, sided)
+    sided = any(train.separates_by_torque for train in model.system.transmissions.values())
+    return Motion(rates, observed, slips, pressing, model.layout, sided)
 
 
 def equations(formulation: CompliantContact, rest: Any, plain: Callable) -> Equations:
-    """Of a model, of which this is the `rest` beside its arrays; `plain`: its rates as a function
-    of (arrays, time, state), and of shares where couplings have play."""
+    """Right side and its derivatives with touches, for steps under error control.
 
-    model = motion_of(formulation, rest)
+    Args:
+        formulation: of the run.
+        rest: what is left of the model without its arrays.
+        plain: rates as a function of (arrays, time, state), and of shares where couplings have
+            play.
+    """
+
+    motion = motion_of(formulation, rest)
 
     def rates(arrays, shares, *now):
-        return plain(arrays, *now, shares) if bare(rest).layout.plays else plain(arrays, *now)
+        return plain(arrays, *now, shares) if motion.layout.plays else plain(arrays, *now)
 
-    def as_counted(numbers, tangents):
-        return pushed(model.rates, numbers, tangents)[1]
+    def shifted(numbers, tangents):
+        d_start, slopes = tangents
+        return at_moving_time(motion, numbers[0], d_start[:3], slopes)
 
     return Equations(
-        derived(rates, as_counted),
+        derived(rates, lambda numbers, tangents: pushed(motion.rates, numbers, tangents)[1]),
+        derived(lambda start, slopes: (start.state, slopes, jnp.zeros(())), shifted),
         derived(
-            lambda step, now, slopes: (now[1], slopes, jnp.zeros(())),
-            functools.partial(_at_moving_time, model),
-        ),
-        derived(
-            lambda step, now, slopes, shift, remembering, growth, events: (
+            lambda end, slopes, shift, remembering, growth, events: (
                 remembering,
                 slopes,
                 *moving_with(remembering[0], (growth, events)),
             ),
-            functools.partial(_behind, model),
+            functools.partial(_behind, motion),
         ),
     )
 
@@ -200,48 +204,57 @@ def closed(contacts: ContactMotion) -> Any:
     return jnp.where(contacts.depths >= 0, 1.0, 0.0)
 
 
-def _at_moving_time(model: Motion, numbers: tuple, tangents: tuple) -> tuple:
-    """The derivatives of (state, slopes, shift) at the start of a step."""
-    step, (time, y), _ = numbers
-    (d_arr, *_), (d_time, state), slopes = tangents
-    if not model.layout.joint_contacts:
+def at_moving_time(motion: Motion, start: Start, d_in: tuple, slopes: Any = ()) -> tuple:
+    """Derivatives of state and slopes at a step's start, at a time that moves, and its shift [s].
+
+    The time moves with touches.
+
+    Args:
+        motion: of the model.
+        start: of the step: arrays, time, state, length and contacts.
+        d_in: derivatives of arrays, time and state.
+        slopes: that the solver keeps between steps.
+    """
+    d_arr, d_time, state = d_in
+    if not motion.layout.joint_contacts:
         return *jax.tree.map(moved, (state, slopes)), jnp.zeros(())
 
     def moving(values):
         state, slopes, _ = values
-        here, d_in = (step.arrays, time, y), (d_arr, d_time, state)
-        flow = model.rates(step.arrays, step.shares, time, y)
-        shift = _shift(model, step, here, d_in, (flow, slopes))
+        here, d_in = start[:3], (d_arr, d_time, state)
+        flow = motion.rates(start.arrays, start.shares, start.time, start.state)
+        shift = _shift(motion, start, d_in, (flow, slopes))
         state = state + shift * flow
         d_in = d_arr, moved(d_time) + shift, state
-        return state, _slopes(model, step.shares, here, d_in, slopes), shift
+        return state, _slopes(motion, start.shares, here, d_in, slopes), shift
 
     tangents_in = *jax.tree.map(moved, (state, slopes)), jnp.zeros(())
-    return apply_if(jnp.any(step.shares > 0), moving, tangents_in)
+    return apply_if(jnp.any(start.shares > 0), moving, tangents_in)
 
 
-def _shift(model: Motion, step: Step, here: tuple, d_in: tuple, slopes: tuple) -> Any:
+def _shift(motion: Motion, start: Start, d_in: tuple, slopes: tuple) -> Any:
     """By how much later (its derivative) a contact does in a step what it is nearest to: to close
     or open, or to slide the other way. `slopes`: the rates of the state, and their derivatives."""
-    (arrays, time, y), (flow, gains) = here, slopes
-    of_joints = lambda each: each[: model.layout.joint_contacts] if model.layout.plays else each
-    depths, rates, shares = map(of_joints, (*step.contacts, step.shares))
-    sliding = lambda *now: of_joints(model.slips(*now))
-    ahead = pushed(model.joints, here, d_in)[1]
-    both = lambda time, y: (model.joints(arrays, time, y).rates, sliding(arrays, time, y))
+    (arrays, time, y), (flow, gains) = start[:3], slopes
+    of_joints = lambda tree: jax.tree.map(lambda x: x[: motion.layout.joint_contacts], tree)
+    (depths, rates), shares = of_joints((start.contacts, start.shares))
+    joints = lambda *now: of_joints(motion.near(*now))
+    sliding = lambda *now: of_joints(motion.slips(*now))
+    ahead = pushed(joints, start[:3], d_in)[1]
+    both = lambda time, y: (joints(arrays, time, y).rates, sliding(arrays, time, y))
     gain, turning = jax.jvp(both, (time, y), (jnp.ones_like(time), flow))[1]
     # A contact that opens is to do so without a difference at the end.
-    opening, length = rates < 0, step.length
+    opening, length = rates < 0, start.length
     deeper = ahead.depths + jnp.where(opening, length * ahead.rates, 0.0)
     for each in jax.tree.leaves(gains):
         more = jax.jvp(lambda y: both(time, y)[0], (y,), (each,))[1]
         deeper = deeper + jnp.where(opening, 0.5 * length * length * more, 0.0)
     rates = jnp.where(opening & (gain < 0), rates + length * gain, rates)
-    slips, aside = pushed(sliding, here, d_in)
+    slips, aside = pushed(sliding, start[:3], d_in)
     inner = lambda one, other: jnp.sum(one * other, -1)
     speeds = safe_sqrt(inner(slips, slips)), safe_sqrt(inner(turning, turning))
     travel = jnp.stack([abs(depths), speeds[0]])
-    reach = step.length * jnp.stack([abs(rates), speeds[1]])
+    reach = length * jnp.stack([abs(rates), speeds[1]])
     near = (shares > 0) & (travel < NEAR * reach)
     remaining = jnp.where(near, safe_divide(travel, reach), jnp.inf)
     late = [safe_divide(deeper, rates), safe_divide(inner(aside, turning), inner(turning, turning))]
@@ -250,23 +263,21 @@ def _shift(model: Motion, step: Step, here: tuple, d_in: tuple, slopes: tuple) -
     return -safe_divide(jnp.sum(jnp.where(nearest, jnp.stack(late), 0.0)), count)
 
 
-def _behind(model: Motion, numbers: tuple, tangents: tuple) -> tuple:
+def _behind(motion: Motion, numbers: tuple, tangents: tuple) -> tuple:
     """The derivatives of (state, slopes, growth, events) at the end of a step."""
-    step, (time, y), *_, events = numbers
-    (d_arr, *_), (d_time, _), slopes, shift, *values = tangents
-    arrays, before = step.arrays, step.shares
-    here = arrays, time, y
-    after = closed(model.near(*here))
-    shifts = bool(model.layout.joint_contacts)
+    end, *_, events = numbers
+    (d_arr, d_time, *_), slopes, shift, *values = tangents
+    here, before = end[:3], end.shares
+    after = closed(motion.near(*here))
+    shifts = bool(motion.layout.joint_contacts)
 
     def behind(values):
         state, slopes, growth, noted = values
         if shifts:
-            state = state - moved(shift) * model.rates(arrays, before, time, y)
-        d_in = d_arr, d_time, state
-        state, *moves = cross(model, here, d_in, (before, after), events is not None)
+            state = state - moved(shift) * motion.rates(end.arrays, before, *here[1:])
+        state, *moves = cross(motion, here, (d_arr, d_time, state), (before, after))
         grown = _grown(growth, jnp.max(jnp.where(after > before, abs(moves[0]), 0.0)))
-        slopes = _slopes(model, after, here, (d_arr, d_time, state), slopes)
+        slopes = _slopes(motion, after, here, (d_arr, d_time, state), slopes)
         return state, slopes, grown, _events_after(noted, events, before != after, moves)
 
     changed = before != after
@@ -277,28 +288,27 @@ def _behind(model: Motion, numbers: tuple, tangents: tuple) -> tuple:
 
 class Crossed(NamedTuple):
     """Derivatives behind touches and releases at a fixed time: of the state; of every contact by
-    how much later it touches or parts [s], and its rate there [m/s] (None: nobody asks)."""
+    how much later it touches or parts [s], and its rate there [m/s]."""
 
     state: Any
     late: Any
     speeds: Any
 
 
-def cross(model: Motion, here: tuple, d_in: tuple, acting: tuple, always: bool) -> Crossed:
-    """Behind an instant at which contacts that act by these shares, (before, after), touch and
-    part; `here`: (arrays, time, state), `d_in`: their derivatives before it; `always`: for
-    rates."""
+def cross(motion: Motion, here: tuple, d_in: tuple, acting: tuple) -> Crossed:
+    """State and derivative behind an instant at which contacts touch and part.
+
+    Args:
+        motion: of the model.
+        here: arrays, time [s] and state.
+        d_in: their derivatives before the instant.
+        acting: shares of the contacts before and after, 1 in contact and 0 apart.
+    """
     (arrays, time, y), (before, after), state = here, acting, d_in[2]
-    flow = model.rates(arrays, before, time, y)
-    always = always or model.remembers or not model.layout.plays
-    if always:
-        view = lambda *here: model.observe(*here, before)
-        falls, ahead = view(*here).rates, pushed(view, here, d_in)[1]
-        deeper = ahead.depths
-    else:
-        depths = lambda *here: model.depths(*here, before)
-        falls, deeper = falling(model, here, before, flow), pushed(depths, here, d_in)[1]
-    late = jnp.where(before != after, -safe_divide(deeper, falls), 0.0)
+    flow = motion.rates(arrays, before, time, y)
+    view = lambda arrays, time, y: motion.contacts(arrays, time, y, before)
+    falls, ahead = view(*here).rates, pushed(view, here, d_in)[1]
+    late = jnp.where(before != after, -safe_divide(ahead.depths, falls), 0.0)
     places = jnp.arange(len(late))
 
     # Rates are not linear in shares: friction follows the size of a force. So each that changes is
@@ -307,27 +317,15 @@ def cross(model: Motion, here: tuple, d_in: tuple, acting: tuple, always: bool) 
         acting, flow, state = carry
         first = places == jnp.min(jnp.where(acting != after, places, len(places)))
         acting = jnp.where(first, after, acting)
-        behind = model.rates(arrays, acting, time, y)
+        behind = motion.rates(arrays, acting, time, y)
         moving = jnp.sum(jnp.where(first, late, 0.0))
         return acting, behind, state + moving * (flow - behind)
 
     changes = lambda carry: jnp.any(carry[0] != after)
     state = jax.lax.while_loop(changes, one, (before, flow, state))[2]
-    if not always:
-        return Crossed(state, late, None)
-    along = lambda time, y: view(arrays, time, y).rates
-    gain = jax.jvp(along, (time, y), (jnp.ones_like(time), flow))[1]
+    gain = jax.jvp(lambda *now: view(arrays, *now).rates, (time, y), (jnp.ones_like(time), flow))[1]
     speeds = ahead.rates + gain * late
-    state = with_impact_speeds(model.layout, state, after > before, speeds)
-    return Crossed(state, late, speeds)
-
-
-def falling(model: Motion, here: tuple, acting: Any, flow: Any) -> Any:
-    """How fast the depths of contacts that act by these shares change at (arrays, time, state),
-    whose rate this `flow` is."""
-    arrays, time, y = here
-    depths = lambda time, y: model.depths(arrays, time, y, acting)
-    return jax.jvp(depths, (time, y), (jnp.ones_like(time), flow))[1]
+    return Crossed(with_impact_speeds(motion.layout, state, after > before, speeds), late, speeds)
 
 
 def _events_after(noted: Any, events: Any, happened: Any, d_in: tuple) -> Any:
@@ -349,15 +347,22 @@ def _grown(growth: Array, late: Scalar) -> Array:
     return jnp.stack([touched, first, jnp.maximum(most, late)])
 
 
-def _slopes(model: Motion, shares: Any, here: tuple, d_in: tuple, slopes: Any) -> Any:
+def _slopes(motion: Motion, shares: Any, here: tuple, d_in: tuple, slopes: Any) -> Any:
     """The derivatives of slopes at (arrays, time, state) with these derivatives."""
-    rate = lambda arrays, time, y: model.rates(arrays, shares, time, y)
+    rate = lambda arrays, time, y: motion.rates(arrays, shares, time, y)
     slope = pushed(rate, here, d_in)[1]
     return jax.tree.map(lambda _: slope, slopes)
 
 
 def with_impact_speeds(layout: Layout, state: Any, taken: Any, speeds: Any) -> Any:
-    """The state with these in the places of impact speeds that have been taken."""
+    """The state with new impact speeds where contacts have touched.
+
+    Args:
+        layout: where impact speeds sit.
+        state: shape (n,).
+        taken: which contacts have touched.
+        speeds: of touch [m/s].
+    """
     entries = [state[i] for i in range(layout.size)]
     for i, place in enumerate(impact_speed_places(layout)):
         if place is not None:
@@ -371,99 +376,97 @@ NODES, WEIGHTS = (0.0, 0.5, 0.5, 1.0), (1 / 6, 1 / 3, 1 / 3, 1 / 6)
 BEHIND = 1e-6
 
 
-class Now(NamedTuple):
-    """Where a step of a `length` [s] begins: `time` [s], state, the `contacts` there."""
-
-    arrays: Any
-    time: Scalar
-    state: Any
-    length: Scalar
-    contacts: ContactMotion
-
-
 def through_touches(
-    formulation: CompliantContact, rest: Any, plain: Callable, length: Callable, view: Callable
+    formulation: CompliantContact, rest: Any, plain: Callable, length: Callable
 ) -> Callable:
-    """A step with its derivative, as a function of (arrays, clock, state, last, met).
+    """A step with its derivative, as a function of (arrays, clock, state, last, peaks).
 
-    `plain(arrays, clock, state, last)`: its length [s], the state at its end and what it leaves to
-    the next: the contacts at its start and its length; `length(clock, contacts, last)`: the length
-    by these contacts; `seen(arrays, end, met, (last, now))`: the peaks of the contacts, by what
-    this step and the one before leave. `arrays`: of the model, all else,
-    and peaks before the interval; `clock`: begins with the time [s]."""
+    `arrays` are those of the model, all others, and peaks before the interval; `clock` begins with
+    the time [s].
+
+    Args:
+        formulation: of the run.
+        rest: what is left of the model without its arrays.
+        plain: `plain(arrays, clock, state, last, peaks)`: length [s], state at the end, what
+            the step
+            hands on, ((contacts at its start, its length), None), and the peaks of the contacts.
+        length: `length(clock, contacts, last)`: length of a step by these contacts [s].
+    """
     motion = motion_of(formulation, rest)
-
-    @jax.custom_jvp
-    def step(arrays, clock, y, last, peaks):
-        length, end, now = plain(arrays, clock, y, last)
-        peaks = view(arrays, end, peaks, (last, now))
-        return length, end, now, peaks
 
     def moving(numbers, tangents):
         arrays, clock, y, last, peaks = numbers
         d_arr, d_clock, state, d_last, d_peaks = tangents
-        remembering = _remembering(formulation, rest, motion)
-        contacts, aware, state = remembering(
-            (arrays[0], clock[0], y, last), (d_arr[0], d_clock[0], state, d_last)
+        here, d_in = (arrays[0], clock[0], y), (d_arr[0], d_clock[0], state)
+        contacts, aware, state = _remembering(
+            formulation, rest, motion, (*here, last[0]), (*d_in, d_last[0])
         )
-        h = length(clock, contacts, last)
-        start = Now(arrays[0], clock[0], aware, h, ContactMotion(*contacts))
-        acting = closed(start.contacts)
-        shifted, shift = at_moving_time(motion, start, acting, (d_arr[0], d_clock[0], state))
+        start = Start(arrays[0], clock[0], aware, length(clock, contacts, last[0]), contacts)
+        shifted, _, shift = at_moving_time(motion, start, (*d_in[:2], state))
         d_clocks = moved(d_clock[0]) + shift, *d_clock[1:]
+        go = lambda *now: plain(*now, peaks)
         here, d_in = (arrays, clock, aware, last), (d_arr, d_clocks, shifted, d_last)
-        (h, end, now), (longer, d_end, d_now) = pushed(plain, here, d_in)
-        d_end = at_fixed_time(motion, start, acting, end, (d_end, shift))
+        results, (longer, d_end, d_now, _) = pushed(go, here, d_in)
+        end = results[1]
+        d_end = at_fixed_time(motion, start, end, d_end, shift)
         times = d_clock[0], longer if moves(d_clock) else None
         changed, separated = separate(motion, start, end, (d_arr[0], times, state))
         d_end = jnp.where(changed, separated, d_end)
         stop = d_clock[0] if times[1] is None else moved(d_clock[0]) + moved(longer)
         d_in = d_arr[0], (d_clock[0], state), (stop, d_end), d_peaks
-        higher = _higher(motion, start, (end, peaks, arrays[2]), d_in)
-        results = h, end, now, view(arrays, end, peaks, (last, now))
-        return results, (longer, d_end, d_now, higher)
+        d_peaks = higher(motion, start, end, (peaks, arrays[2]), d_in)[1]
+        return results, (longer, d_end, d_now, d_peaks)
 
+    step = jax.custom_jvp(plain)
     step.defjvp(moving, symbolic_zeros=True)
     return step
 
 
-def _higher(motion: Any, first: Now, ended: tuple, d_in: tuple) -> Any:
-    """The derivative of the peaks behind a step. `ended`: its end, the peaks until its start, and
-    in the run before its interval; `d_in`: derivatives of (arrays, (time, state) at its start, at
-    its end, peaks)."""
-    end, highest, so_far = ended
-    start, stop = (first.time, first.state), (first.time + first.length, end)
-    motions = motions_over(motion, first, end)
-    go = lambda arrays, *now: peaks(motion, arrays, now[:2], motions, now[2], so_far)
-    return pushed(go, (first.arrays, start, stop, highest), d_in)[1]
+def higher(motion: Motion, start: Start, end: Any, highest: tuple, d_in: tuple) -> tuple:
+    """The peaks behind a step, and their derivative.
+
+    Args:
+        motion: of the model.
+        start: of the step: arrays, time, state, length and contacts.
+        end: state at its end, shape (n,).
+        highest: peaks until its start, and in the run before its interval.
+        d_in: derivatives of arrays, of (time, state) at both ends, and of the peaks.
+    """
+    stop = start.time + start.length, end
+    motions = motions_over(motion, start, end)
+    go = lambda arrays, *now: peaks(motion, arrays, now[:2], motions, now[2], *highest[1:])
+    return pushed(go, (start.arrays, start[1:3], stop, highest[0]), d_in)
 
 
-def motions_over(motion: Any, start: Now, end: Any) -> tuple[ContactMotion, ContactMotion]:
-    """The motion of the contacts at both ends of a step."""
+def motions_over(motion: Motion, start: Start, end: Any) -> tuple[ContactMotion, ContactMotion]:
+    """Motion of the contacts at both ends of a step.
+
+    Args:
+        motion: of the model.
+        start: arrays, time, state and length.
+        end: state at the end, shape (n,).
+    """
     first = start.contacts
-    if motion.layout.plays:
-        first = motion.contacts(start.arrays, start.time, start.state)
+    if motion.sided:
+        first = motion.contacts(*start[:3])
     return first, motion.contacts(start.arrays, start.time + start.length, end)
 
 
-def at_moving_time(motion: Any, start: Now, acting: Any, d_in: tuple) -> tuple:
-    """The derivative of the state where a step begins, at a time that moves with touches
-    (`saltation`), and by how much that does. `d_in`: derivatives of (arrays, time, state)."""
-    d_arr, time, state = d_in
-    step = Step(start.arrays, start.contacts, start.length, acting)
-    d_in = (d_arr, None, None), (time, moved(state)), ()
-    state, _, shift = _at_moving_time(motion, (step, (start.time, start.state), ()), d_in)
-    return state, shift
+def at_fixed_time(motion: Motion, start: Start, end: Any, d_end: Any, shift: Any) -> Any:
+    """Derivative of the state at the end of a step, at a fixed time.
 
-
-def at_fixed_time(motion: Any, start: Now, acting: Any, end: Any, moves: tuple) -> Any:
-    """The derivative of the state where a step ends, at a fixed time. `moves`: (that at a time
-    which moves, by how much that does)."""
-    (d_arr, shift), time = moves, start.time + start.length
+    Args:
+        motion: of the model.
+        start: of the step: arrays, time, state, length and contacts.
+        end: state at the end, shape (n,).
+        d_end: its derivative at a time that moves.
+        shift: how much that time moves [s].
+    """
     if not motion.layout.joint_contacts:
-        return d_arr
-    back = lambda d_arr: d_arr - shift * motion.rates(start.arrays, acting, time, end)
-    return apply_if(jnp.any(acting > 0), back, d_arr)
+        return d_end
+    shares, time = start.shares, start.time + start.length
+    back = lambda d_end: d_end - shift * motion.rates(start.arrays, shares, time, end)
+    return apply_if(jnp.any(shares > 0), back, d_end)
 
 
 def moves(tree: Any) -> bool:
@@ -471,40 +474,44 @@ def moves(tree: Any) -> bool:
     return any(not isinstance(each, SymbolicZero) for each in jax.tree.leaves(tree))
 
 
-def _remembering(formulation: CompliantContact, rest: Any, motion: Any) -> Callable:
+def _remembering(
+    formulation: CompliantContact, rest: Any, motion: Motion, numbers: tuple, tangents: tuple
+) -> tuple:
     """The contacts at the start of a step, the state with its impact speeds there, and its
     derivative, from numbers and tangents of (arrays, time, state, last): the derivative of a speed
     that was taken within the last step is known since then."""
-    places = impact_speed_places(motion.layout)
 
     def aware(arrays, time, y, last):
         contacts = motion.near(arrays, time, y)
         remembered = formulation.remember(unpacked(arrays, rest), y, last[0], contacts, last[1])
         return contacts, remembered
 
-    def both(numbers, tangents):
-        if not motion.remembers:
-            return motion.near(*numbers[:3]), numbers[2], moved(tangents[2])
-        (contacts, now), (_, state) = pushed(aware, numbers, tangents)
-        y, before, remembered = numbers[2], numbers[3][0], moved(tangents[2])
-        entries = [state[i] for i in range(len(state))]
-        for i, place in enumerate(places):
-            if place is not None:
-                taken = (y[place] <= 0) & (now[place] > 0) & (before.depths[i] < 0)
-                entries[place] = jnp.where(taken, remembered[place], entries[place])
-        return contacts, now, jnp.stack(entries)
-
-    return both
+    if not motion.remembers:
+        contacts = motion.near(*numbers[:3])
+        return contacts, numbers[2], moved(tangents[2])
+    (contacts, now), (_, state) = pushed(aware, numbers, tangents)
+    y, before, remembered = numbers[2], numbers[3][0], moved(tangents[2])
+    entries = [state[i] for i in range(len(state))]
+    for i, place in enumerate(impact_speed_places(motion.layout)):
+        if place is not None:
+            taken = (y[place] <= 0) & (now[place] > 0) & (before.depths[i] < 0)
+            entries[place] = jnp.where(taken, remembered[place], entries[place])
+    return contacts, now, jnp.stack(entries)
 
 
-def separate(motion: Any, start: Now, end: Any, d_in: tuple) -> tuple[Any, Any]:
-    """A step in which a contact closes or parts, at whose end the state is about `end`: whether one
-    has changed, and the derivative of the state at the end.
-    `d_in`: derivatives of arrays, of (time, length), and of the state."""
+def separate(motion: Motion, start: Start, end: Any, d_in: tuple) -> tuple[Any, Any]:
+    """Whether a contact changes within a step, and the derivative of the state at its end.
+
+    Args:
+        motion: of the model.
+        start: arrays, time, state and length.
+        end: about the state at the end, shape (n,).
+        d_in: derivatives of arrays, of (time, length), and of the state.
+    """
     d_arr, (d_time, longer), state = d_in
-    time, h = start.time, start.length
-    before = closed(start.contacts)
-    after = closed(motion.near(start.arrays, time + h, end))
+    arrays, time, y, h, *_ = start
+    before = start.shares
+    after = closed(motion.near(arrays, time + h, end))
     changed = before != after
     any_changed = jnp.any(changed)
 
@@ -516,66 +523,76 @@ def separate(motion: Any, start: Now, end: Any, d_in: tuple) -> tuple[Any, Any]:
     shares = apply_if(any_changed, gap_at, jnp.ones_like(before))
     turns = jnp.where(any_changed, jnp.sum(changed.astype(int)) + 1, 0)
     if longer is not None:
-        state = state - moved(d_time) * motion.rates(start.arrays, before, time, start.state)
+        state = state - moved(d_time) * motion.rates(arrays, before, time, y)
 
     def turn(carry):
         i, share, y, state, acting = carry
         pending = acting != after
         until = jnp.maximum(jnp.min(jnp.where(pending, shares, 1.0)), share)
         hit = pending & (shares <= until)
-        length = (until - share) * h
-        at = time + share * h
-        part = Now(start.arrays, at, y, length, motion.near(start.arrays, at, y))
-        y, state = along(motion, part, acting, (d_arr, state))
-        at = time + until * h
-        y, state, later = cross_within(motion, start, (d_arr, state), at, y, (acting, hit))
-        acting = jnp.where(hit, after, acting)
-        return i + 1, until + later / h, y, state, acting
+        at, contacts = time + share * h, motion.near(arrays, time + share * h, y)
+        part = Start(arrays, at, y, (until - share) * h, contacts, acting)
+        y, state = along(motion, part, (d_arr, state))
+        part = Start(arrays, time + until * h, y, h, contacts, acting)
+        y, state, later = cross_within(motion, part, (d_arr, state), hit)
+        return i + 1, until + later / h, y, state, jnp.where(hit, after, acting)
 
-    first = jnp.zeros((), int), jnp.zeros(()), start.state, state, before
+    first = jnp.zeros((), int), jnp.zeros(()), y, state, before
     state = jax.lax.while_loop(lambda carry: carry[0] < turns, turn, first)[3]
     if longer is not None:
         moves = moved(d_time) + moved(longer)
-        state = state + moves * motion.rates(start.arrays, after, time + h, end)
+        state = state + moves * motion.rates(arrays, after, time + h, end)
     return any_changed, state
 
 
-def cross_within(motion: Any, start: Now, d_in: tuple, at: Any, y: Any, acts: tuple) -> tuple:
-    """(state, its derivative, by how much later [s]) behind what is `hit` at a time."""
-    (d_arr, state), (acting, hit) = d_in, acts
-    flow, here = motion.rates(start.arrays, acting, at, y), (start.arrays, at, y)
-    if motion.layout.plays:
-        depths, rates = motion.depths(*here, acting), falling(motion, here, acting, flow)
-    else:
-        depths, rates = motion.contacts(*here)
-    most = BEHIND * start.length
-    short = jnp.where(hit, -safe_divide(depths, rates) + most, 0.0)
-    later = jnp.where(jnp.any(hit), jnp.max(jnp.where(hit, short, -start.length)), 0.0)
+def cross_within(motion: Motion, start: Start, d_in: tuple, hit: Any) -> tuple:
+    """(state, its derivative, delay [s]) behind contacts that change where a part of a step begins.
+
+    Args:
+        motion: of the model.
+        start: of the part: arrays, time, state, length and contacts.
+        d_in: derivatives of arrays and state.
+        hit: which contacts change.
+    """
+    (d_arr, state), (arrays, at, y, length, _, acting) = d_in, start
+    flow = motion.rates(arrays, acting, at, y)
+    depths, rates = motion.contacts(arrays, at, y, acting)
+    short = jnp.where(hit, -safe_divide(depths, rates) + BEHIND * length, 0.0)
+    later = jnp.where(jnp.any(hit), jnp.max(jnp.where(hit, short, -length)), 0.0)
     y, at = y + later * flow, at + later
     then = jnp.where(hit, 1 - acting, acting)
-    d_in = d_arr, jnp.zeros(()), state
-    crossing = cross(motion, (start.arrays, at, y), d_in, (acting, then), False)
-    if not motion.remembers:
-        return y, crossing.state, later
-    taken = then > acting
-    rates = motion.contacts(start.arrays, at, y).rates
-    y = with_impact_speeds(motion.layout, y, taken, rates)
-    return y, crossing.state, later
+    state = cross(motion, (arrays, at, y), (d_arr, jnp.zeros(()), state), (acting, then)).state
+    if motion.remembers:
+        rates = motion.contacts(arrays, at, y).rates
+        y = with_impact_speeds(motion.layout, y, then > acting, rates)
+    return y, state, later
 
 
-def along(motion: Any, start: Now, acting: Any, d_in: tuple) -> tuple:
-    """(state, its derivative) at the end of a part of a motion in which contacts act by these
-    shares. `d_in`: derivatives of (arrays, state)."""
+def along(motion: Motion, start: Start, d_in: tuple) -> tuple:
+    """(state, its derivative) at the end of a part of a motion in which no contact changes.
+
+    Args:
+        motion: of the model.
+        start: of the part: arrays, time, state, length and contacts.
+        d_in: derivatives of arrays and state.
+    """
     d_arr, state = d_in
-    go = lambda arrays, time, y: flow_end(motion, arrays, acting, time, start.length, y)
-    state, shift = at_moving_time(motion, start, acting, (d_arr, jnp.zeros(()), state))
-    end, state = pushed(go, (start.arrays, start.time, start.state), (d_arr, shift, state))
-    return end, at_fixed_time(motion, start, acting, end, (state, shift))
+    go = lambda arrays, time, y: flow_end(motion, arrays, start.shares, time, start.length, y)
+    state, _, shift = at_moving_time(motion, start, (d_arr, jnp.zeros(()), state))
+    end, state = pushed(go, start[:3], (d_arr, shift, state))
+    return end, at_fixed_time(motion, start, end, state, shift)
 
 
 def flow_end(motion: Any, arrays: Any, shares: Any, time: Any, length: Any, y: Any) -> Any:
-    """The state after a time in which contacts act by these shares (None: as their indentations
-    have it)."""
+    """The state after a time in which no contact changes.
+
+    Args:
+        motion: of the model.
+        arrays: of the model.
+        shares: of the contacts, 1 in contact and 0 apart; None: by their indentations.
+        time, length: start and duration [s].
+        y: state at the start, shape (n,).
+    """
     nodes, weights = jnp.asarray(NODES), jnp.asarray(WEIGHTS)
 
     def stage(carry, i):

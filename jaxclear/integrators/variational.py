@@ -49,8 +49,18 @@ from jaxclear.integrators.derivative_error import (
     while_together,
     without_derivative,
 )
-from jaxclear.integrators.events import Peaks, no_peaks, peaks
-from jaxclear.integrators.saltation import Now, along, closed, cross_within, motion_of, moves
+from jaxclear.integrators.events import Peaks, no_peaks
+from jaxclear.integrators.saltation import (
+    Motion,
+    Start,
+    along,
+    closed,
+    cross_within,
+    higher,
+    motion_of,
+    moves,
+    through_touches,
+)
 from jaxclear.multibody.length_scales import gaps_crossed
 from jaxclear.multibody.state import bristle_places
 
@@ -66,17 +76,30 @@ class Resolved(NamedTuple):
 
 
 def not_resolved(size: int, contacts: int, damped: bool) -> Resolved:
-    """Where a run begins, of which the state has this size, and some contact is `damped`."""
+    """The record of the motion beside a run, at its start.
+
+    Args:
+        size: of the state.
+        contacts: their number.
+        damped: whether some contact damps, so that its peak force is followed.
+    """
     return Resolved(jnp.zeros(size), jnp.zeros(()), no_peaks(jnp.zeros(contacts), damped))
 
 
 def resolved_steps(formulation: CompliantContact, rest: Any, plain: Callable) -> Callable:
-    """A step with the derivative of the motion beside it, as a function of (arrays, clock, state,
-    last, met, beside).
+    """A step with the derivative of the motion beside it.
 
-    `plain(arrays, clock, y, last, met)`: the state at its end, what it leaves to the next, and the
-    peaks until then. `arrays`: of the model, and of all else; `clock`: its start and length [s];
-    `rest`: of the model."""
+    It is a function of (arrays, clock, state, last, peaks); `arrays` are those of the model and all
+    others, `clock` begins with start and length [s].
+
+    Args:
+        formulation: of the run.
+        rest: what is left of the model without its arrays.
+        plain: `plain(arrays, clock, y, last, peaks)`: length [s] and state at the end, what the
+            step
+                    hands on, (numbers, what is known of the motion beside the run), and the peaks
+            until then.
+    """
     motion = motion_of(formulation, rest)
 
     def remember(arrays, y, contacts, length):
@@ -89,52 +112,84 @@ def resolved_steps(formulation: CompliantContact, rest: Any, plain: Callable) ->
     def close(arrays, time, length, y):
         return loop_closing.closed(unpacked(arrays, rest), time, y, length)
 
-    def step(arrays, clock, y, last, peaks, resolved):
-        end, *rest_of = plain(arrays, clock, y, last, peaks)
-        return end, *rest_of, zeros_with(end[0], resolved)
-
-    @jax.custom_jvp
-    def rule(*numbers):
-        return step(*numbers)
+    def step(arrays, clock, y, last, peaks):
+        h, end, (now, _), peaks = plain(arrays, clock, y, last, peaks)
+        return h, end, (now, zeros_with(end[0], last[1])), peaks
 
     def moving(numbers, tangents):
         arrays, clock, y, *_ = numbers
-        d_arr, d_clock, state, _, d_peaks, resolved = tangents
+        d_arr, d_clock, state, (_, resolved), d_peaks = tangents
         outputs = step(*numbers)
-        end, now, *_ = outputs
+        h, end, (now, _), _ = outputs
         resolved, d_peaks = jax.tree.map(moved, (resolved, d_peaks))
         longer = moved(d_clock[1]) if moves(d_clock) else None
         d_in = d_arr[0], (d_clock[0], longer), moved(state)
-        start = y + resolved.away
         corrections = remember, close if bare(rest).projects else None
-        ended = _parted(motion, corrections, (arrays[0], clock, start), d_in, d_peaks, resolved)
-        there, d_end, higher, resolved = ended
+        here = arrays[0], clock[:2], y + resolved.away
+        there, d_end, higher, resolved = _parted(motion, corrections, here, d_in, d_peaks, resolved)
         away = there - end
         share = gaps_crossed(unpacked(arrays[0], rest).system, away)
         resolved = resolved._replace(away=away, parted=jnp.maximum(resolved.parted, share))
-        return outputs, (d_end, jax.tree.map(jnp.zeros_like, now), higher, resolved)
+        still = jax.tree.map(jnp.zeros_like, (h, now))
+        return outputs, (still[0], d_end, (still[1], resolved), higher)
 
+    rule = jax.custom_jvp(step)
     rule.defjvp(moving, symbolic_zeros=True)
     return rule
 
 
-def so_far(resolved: Resolved) -> Resolved:
-    """What is known where a saving interval begins."""
+# How steps have derivatives through contacts: those of the motion that ends at touches within them,
+# or of one that goes beside them.
+THROUGH, BESIDE = "through touches", "beside the steps"
+
+
+def derived_steps(
+    kind: str | None, formulation: CompliantContact, rest: Any, plain: Callable, length: Callable
+) -> Callable:
+    """A step (arrays, clock, state, last, peaks) with its derivative through contacts.
+
+    Args:
+        kind: how the derivative goes through contacts; None: it is that of the step.
+        formulation, rest, plain, length: as of `through_touches` and `resolved_steps`.
+    """
+    if kind == BESIDE:
+        return resolved_steps(formulation, rest, plain)
+    return plain if kind is None else through_touches(formulation, rest, plain, length)
+
+
+def so_far(last: tuple) -> tuple:
+    """What a step is handed where a saving interval begins."""
     zeros = lambda resolved: jax.tree.map(lambda each: zeros_with(each, each), resolved)
     same = lambda numbers, tangents: jax.tree.map(moved, tangents[0])
-    return derived(zeros, same)(resolved)
+    return last[0], derived(zeros, same)(last[1])
 
 
-def trust_resolved(end: Any, peaks: Any, watch: Any, resolved: Resolved) -> tuple:
-    """All that was found of a run, where the derivative of the motion beside it can be trusted;
-    events have none."""
-    outputs = end, peaks, watch.transmitted
-    outputs = allow_first_derivative(NO_SECOND, while_together(outputs, resolved.parted))
-    return *outputs[:2], without_derivative(watch)._replace(transmitted=outputs[2])
+def trusted_steps(kind: str | None, end: Any, peaks: Any, watch: Any, last: tuple) -> tuple:
+    """Results of a run in steps, with derivatives where these can be trusted.
+
+    Events have none beside a run, and rates at events none through touches.
+
+    Args:
+        kind: how derivatives go through contacts; None: they are those of the steps.
+        end: state at the end, shape (n,).
+        peaks: largest depths and forces.
+        watch: events and transmitted forces.
+        last: what the last step hands on.
+    """
+    if kind is None:
+        return end, peaks, watch
+    if kind == BESIDE:
+        outputs = while_together((end, peaks, watch.transmitted), last[1].parted)
+        outputs = allow_first_derivative(NO_SECOND, outputs)
+        return *outputs[:2], without_derivative(watch)._replace(transmitted=outputs[2])
+    if watch.events is not None:
+        rates = without_derivative(watch.events.rates)
+        watch = watch._replace(events=watch.events._replace(rates=rates))
+    return allow_first_derivative(NO_SECOND, (end, peaks, watch))
 
 
 def _parted(
-    motion: Any, corrections: tuple, here: tuple, d_in: tuple, higher: Any, resolved: Resolved
+    motion: Motion, corrections: tuple, here: tuple, d_in: tuple, higher: Any, resolved: Resolved
 ) -> tuple:
     """(state, its derivative, that of the peaks, what is known) behind a step from
     `here` (arrays, clock, state); `corrections`: how its impact speeds are remembered, and its
@@ -195,22 +250,16 @@ class Part(NamedTuple):
     event: Any
 
 
-class _Substep(NamedTuple):
-    """A part gone through: where it began, its contacts that acted, the state at its end and its
-    derivative, the contacts there."""
+def followed(motion: Motion, remember: Callable, clock: tuple, d_in: tuple, request: tuple) -> Part:
+    """A motion over a time with its derivative, where it is needed.
 
-    start: Now
-    acting: Any
-    end: Any
-    d_state: Any
-    contacts: ContactMotion
-
-
-def followed(motion: Any, remember: Callable, clock: tuple, d_in: tuple, request: tuple) -> Part:
-    """A motion over a time, where it is needed. `remember(state, contacts)`: the state as it
-    knows its impact speeds. `clock`: (arrays, start [s], length [s]), `d_in`: the derivatives of
-    the arrays and of the state, at times that do not move; `request`: (`needed`, the state, (the
-    peaks, their derivatives))."""
+    Args:
+        motion: of the model.
+        remember: `remember(state, contacts)`: the state with its impact speeds.
+        clock: arrays, start and length [s].
+        d_in: derivatives of arrays and state, at times that do not move.
+        request: whether it is needed, the state, and (peaks, their derivatives).
+    """
     (_, _, total), (d_arr, state), (needed, y, highest) = clock, d_in, request
     nothing = jnp.zeros(())
     first = Part(
@@ -232,25 +281,27 @@ def followed(motion: Any, remember: Callable, clock: tuple, d_in: tuple, request
     )
 
 
-def _further(motion: Any, remember: Callable, clock: tuple, d_arr: Any, part: Part) -> Part:
+def _further(motion: Motion, remember: Callable, clock: tuple, d_arr: Any, part: Part) -> Part:
     """A part further, or how long it may be."""
     arrays, start, total = clock
     time = start + part.done
     contacts = motion.contacts(arrays, time, part.y)
     y, acting = remember(part.y, contacts), closed(contacts)
     remaining = total - part.done
-    at_start = Now(arrays, time, y, remaining, contacts)
-    resolved, unresolved = _resolved(motion, at_start, acting, (total, remaining))
+    start_of = Start(arrays, time, y, remaining, contacts, acting)
+    resolved, unresolved = _resolved(motion, start_of, total)
     resolved = jnp.where(jnp.any(acting > 0), resolved, remaining)
     length = jnp.minimum(jnp.minimum(resolved, part.limit), remaining)
-    trial = _through(motion, at_start._replace(length=length), acting, (d_arr, part.d_state))
+    start_of = start_of._replace(length=length)
+    end, state = along(motion, start_of, (d_arr, part.d_state))
+    after = motion.contacts(arrays, time + length, end)
     landing = jnp.any(part.event > 0)
-    after, crossed, share = trial.contacts, *_crossed(trial)
+    crossed, share = _crossed(start_of, after)
     hit = landing & ((part.event > 0) | (closed(after) != acting))
     late = jnp.where(hit, -safe_divide(after.depths, after.rates), -jnp.inf)
     late = jnp.where(landing, jnp.max(late), (share - 1) * length)
     there = jnp.where(landing, abs(late) <= AT_TOUCH * total, ~jnp.any(crossed))
-    fine = _at_end(motion, trial, total, d_arr, (hit, part))
+    fine = _at_end(motion, start_of, (end, state), total, d_arr, hit, part)
     fine = fine._replace(done=jnp.where(length < remaining, part.done + length, total) + fine.done)
     # What would pass the end after all touches no more.
     again = (late + length < remaining) & (length > 0)
@@ -263,17 +314,10 @@ def _further(motion: Any, remember: Callable, clock: tuple, d_arr: Any, part: Pa
     return next_part._replace(done=done, turns=part.turns + 1)
 
 
-def _through(motion: Any, start: Now, acting: Any, d_in: tuple) -> _Substep:
-    """A part in which the contacts act that did at its start."""
-    end, state = along(motion, start, acting, d_in)
-    contacts = motion.contacts(start.arrays, start.time + start.length, end)
-    return _Substep(start, acting, end, state, contacts)
-
-
-def _crossed(sub: _Substep) -> tuple[Any, Any]:
-    """Which contacts touch or part within a part, and at which share of it the first does."""
-    start, after, length = sub.start, sub.contacts, sub.start.length
-    outwards = jnp.where(sub.acting > 0, -1.0, 1.0)
+def _crossed(start: Start, after: ContactMotion) -> tuple[Any, Any]:
+    """Which contacts touch or part within a part, at whose end they move so, and at which share of
+    it the first does."""
+    length, outwards = start.length, jnp.where(start.shares > 0, -1.0, 1.0)
     depths = start.contacts.depths, after.depths
     path: tuple = *depths, length * start.contacts.rates, length * after.rates
     path = (*(outwards * each for each in path),)
@@ -281,39 +325,38 @@ def _crossed(sub: _Substep) -> tuple[Any, Any]:
     highest = cubic(path, top)[0]
     last = jnp.where(highest > path[1], top, 1.0)
     highest = jnp.maximum(highest, path[1])
-    crossed = (highest > 0) | ((highest >= 0) & (sub.acting <= 0))
+    crossed = (highest > 0) | ((highest >= 0) & (start.shares <= 0))
     shares = passage(path, 0.0, last, jnp.any(crossed))
     share = jnp.min(jnp.where(crossed, shares, 1.0))
     return crossed & (shares <= share), share
 
 
-def _at_end(motion: Any, sub: _Substep, total: Any, d_arr: Any, state_of: tuple) -> Part:
-    """Behind the end of a part, at which contacts are `hit`; `done` is by how much later [s]."""
-    (start, acting, end, state, after), (hit, part) = sub, state_of
-    later = start.time + start.length
-    ends, motions = ((start.time, start.state), (later, end)), (start.contacts, after)
-    higher = lambda arrays, *now: peaks(motion, arrays, now[:2], motions, now[2])
-    d_in = d_arr, (jnp.zeros(()), part.d_state), (jnp.zeros(()), state), part.peaks[1]
-    highest = pushed(higher, (start.arrays, *ends, part.peaks[0]), d_in)
+def _at_end(
+    motion: Motion, start: Start, ended: tuple, total: Any, d_arr: Any, hit: Any, part: Part
+) -> Part:
+    """Behind the end of a part, (state, its derivative) `ended`, at which contacts are `hit`;
+    `done` is by how much later [s]."""
+    y, state = ended
+    still = jnp.zeros(())
+    d_in = d_arr, (still, part.d_state), (still, state), part.peaks[1]
+    highest = higher(motion, start, y, (part.peaks[0],), d_in)
+    at = start._replace(time=start.time + start.length, length=total)
 
     def behind(values):
-        state, y, _ = values
-        at = start._replace(length=total)
-        y, state, late = cross_within(motion, at, (d_arr, state), later, y, (acting, hit))
-        return state, y, late
+        y, state, _ = values
+        return cross_within(motion, at._replace(state=y), (d_arr, state), hit)
 
-    state_of = state, end, jnp.zeros(())
-    state, y, late = apply_if(jnp.any(hit), behind, state_of)
-    ahead = jnp.asarray(jnp.inf), jnp.zeros_like(acting)
-    return Part(late, part.turns, y, state, highest, *ahead)
+    y, state, late = apply_if(jnp.any(hit), behind, (y, state, still))
+    return Part(
+        late, part.turns, y, state, highest, jnp.asarray(jnp.inf), jnp.zeros_like(hit, float)
+    )
 
 
-def _resolved(motion: Any, start: Now, acting: Any, clock: tuple) -> tuple[Any, Any]:
-    """How long a part may be [s], and whether its contacts cannot be followed; `clock`: the whole
-    time, and what is left of it [s]. Contacts are looked at where it begins; those that have closed
-    just now also where the time would end without them."""
-    arrays, time, y, _, (depths, rates) = start
-    total, remaining = clock
+def _resolved(motion: Motion, start: Start, total: Any) -> tuple[Any, Any]:
+    """How long a part may be [s], and whether its contacts cannot be followed, of which so long is
+    left of a `total` time [s]. Contacts are looked at where it begins; those that have closed just
+    now also where the time would end without them."""
+    arrays, time, y, remaining, (depths, rates), acting = start
     zeros = jnp.zeros_like(acting)
     n, m = motion.layout.coordinates, motion.layout.memory_start
     entries = np.arange(motion.layout.size)

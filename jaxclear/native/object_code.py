@@ -11,8 +11,9 @@ from typing import Any
 from jaxclear.ground import cache_folder
 from jaxclear.native import stopping
 
-# How much LLVM optimises the text of a kernel, from 0 to 3.
-SPEED_LEVEL = 2
+# How much LLVM optimises each function of a kernel, from 0 (not) to 3. Its pipeline for whole
+# modules takes twice as long and makes the same code, as does level 2.
+SPEED_LEVEL = 1
 
 
 def compiled(text: str) -> Any:
@@ -48,10 +49,27 @@ def _compile_to_object(text: str) -> bytes:
     import llvmlite.binding as llvm
 
     module, machine = llvm.parse_assembly(text), _target_machine()
+    if SPEED_LEVEL:
+        optimise(module, machine)
+    return machine.emit_object(module)
+
+
+def optimise(module: Any, machine: Any) -> None:
+    """Inlines the elementary functions, then simplifies each function by itself."""
+    import llvmlite.binding as llvm
+
     options = llvm.create_pipeline_tuning_options(speed_level=SPEED_LEVEL)
     passes = llvm.create_pass_builder(machine, options)
-    passes.getModulePassManager().run(module, passes)
-    return machine.emit_object(module)
+    for function in module.functions:
+        if function.name.startswith("jc."):
+            function.add_function_attribute("alwaysinline")
+    inliner = llvm.create_new_module_pass_manager()
+    inliner.add_always_inliner_pass()
+    inliner.run(module, passes)
+    simplification = passes.getFunctionPassManager()
+    for function in module.functions:
+        if not function.is_declaration:
+            simplification.run(function, passes)
 
 
 def _load_object(code: Any) -> Any:

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import matplotlib
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline
+import scipy
 
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_count, check_name, check_number, expect
@@ -174,7 +174,7 @@ def at_periods(data: TimeCurve, period: float, since: float, until: float) -> tu
     Between saving times they are those of a cubic through values and rates.
 
     Args:
-        own: the quantity.
+        data: the quantity.
         period: period [s], > 0.
         since: first time [s].
         until: last time [s].
@@ -184,7 +184,9 @@ def at_periods(data: TimeCurve, period: float, since: float, until: float) -> tu
     """
     times = np.arange(since, until * (1 + 1e-12), period)
     mask = data.time <= until * (1 + 1e-12)
-    curve = CubicHermiteSpline(data.time[mask], data.values[mask], np.asarray(data.rates)[mask])
+    curve = scipy.interpolate.CubicHermiteSpline(
+        data.time[mask], data.values[mask], np.asarray(data.rates)[mask]
+    )
     return times, curve(times), curve.derivative()(times)
 
 

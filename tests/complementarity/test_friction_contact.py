@@ -25,7 +25,7 @@ from jaxclear.complementarity import (
     ProjectedGaussSeidel,
     projected_gauss_seidel,
 )
-from tests.rigs.lemke import Lemke
+from tests.rigs.lemke import lemke
 
 REFERENCE = json.loads((Path(__file__).parents[1] / "refdata" / "complementarity.json").read_text())
 PUBLISHED = {
@@ -190,18 +190,18 @@ def test_without_friction_it_is_the_lcp_of_the_normals():
     assert np.abs(np.minimum(r[:, 0], matrix[::3, ::3] @ r[:, 0] + offset[::3])).max() <= 1e-12
 
 
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=4, deadline=None)
 @given(seed=SEEDS)
 def test_planar_friction_by_sweeps_and_by_pivoting(seed):
     """Unique where coefficients are small beside the coupling of W: there, both agree."""
     rng = np.random.default_rng(seed)
     problems = [(w, b, 0.3 * mu) for w, b, mu in (random_contacts(rng, 2) for _ in range(BATCH))]
     problems = [(w + np.trace(w) / len(w) * np.eye(len(w)), b, mu) for w, b, mu in problems]
-    swept, pivoted = solve_all(problems, 2), solve_all(problems, 2, Lemke())
-    for problem, one, other in zip(problems, swept, pivoted, strict=True):
-        assert one[2] == other[2] == Outcome.SOLVED
-        assert_coulomb(problem, *other[:2])
-        np.testing.assert_allclose(one[0], other[0], atol=1e-11)
+    for problem, (r, _, outcome, _) in zip(problems, solve_all(problems, 2), strict=True):
+        other = lemke(FrictionContact(*problem))
+        assert outcome == Outcome.SOLVED
+        assert_coulomb(problem, *(x.reshape(-1, 2) for x in (other.z, other.w)))
+        np.testing.assert_allclose(r.ravel(), other.z, atol=1e-11)
 
 
 def test_contacts_of_unlike_sizes_and_pivoting_find_the_same():
@@ -211,8 +211,8 @@ def test_contacts_of_unlike_sizes_and_pivoting_find_the_same():
     matrix, offset = half @ half.T + np.eye(3), rng.normal(size=3)
     for more in (((np.zeros(3)),), (np.full(2, 0.1), (1, 2))):
         problem = FrictionContact(matrix, offset, *more)
-        one, other = solved(SWEEPS, problem), solved(Lemke(), problem)
-        assert one.solved and other.solved
+        one, other = solved(SWEEPS, problem), lemke(problem)
+        assert one.solved
         np.testing.assert_allclose(one.z, other.z, atol=1e-11)
         np.testing.assert_allclose(one.w, other.w, atol=1e-11)
 
@@ -383,7 +383,7 @@ def test_a_failing_member_leaves_its_batch_alone():
             np.eye(3), np.ones(3), np.ones(2), (1, 1)
         ),
         "may be negative": lambda: FrictionContact(np.eye(3), np.ones(3), [-0.1]),
-        "ProjectedGaussSeidel": lambda: Lemke().solve(
+        "ProjectedGaussSeidel": lambda: InteriorPoint().solve(
             FrictionContact(np.eye(3), np.ones(3), [0.1])
         ),
         "for linear problems take InteriorPoint": lambda: SWEEPS.solve(LCP(np.eye(3), np.ones(3))),
@@ -407,7 +407,7 @@ def test_an_open_contact_without_friction_is_solved(dimension):
 
 def test_solvers_take_problems():
     with pytest.raises(ValueError, match="a solver is given a ndarray; it takes a problem"):
-        Lemke().solve(np.eye(2))
+        InteriorPoint().solve(np.eye(2))
 
 
 # A shaft in a bearing at two ends, with a collar: masses [kg] and inertias [kg m^2] of three bodies

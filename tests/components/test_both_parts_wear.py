@@ -2,8 +2,7 @@
 on one surface leaves it still on the other, by closed forms.
 
 How far a part sinks into a worn wall by a loss: the one level at which it overlaps by as much as
-the loss and the load ask for, wherever the search begins.
-"""
+the loss and the load ask for, wherever the search begins."""
 
 import jax
 import jax.numpy as jnp
@@ -72,12 +71,9 @@ def ran_under(angles, begin, way):
 @pytest.mark.parametrize(
     ("joint", "inner", "rung"),
     [
-        pytest.param(journal, "journal", "compliant", marks=pytest.mark.slow),
-        (ball, "ball", "permanent"),
-        pytest.param(journal, "journal", "permanent", marks=pytest.mark.slow),
-        pytest.param(journal, "journal", "rigid", marks=pytest.mark.slow),
-        pytest.param(ball, "ball", "compliant", marks=pytest.mark.slow),
-        pytest.param(ball, "ball", "rigid", marks=pytest.mark.slow),
+        (joint, name, rung)
+        for joint, name in ((journal, "journal"), (ball, "ball"))
+        for rung in RUNGS
     ],
 )
 def test_the_inner_part_wears_round_about_and_the_outer_one_where_it_is_pressed(joint, inner, rung):

@@ -1,6 +1,5 @@
 """Every ideal joint: columns, rates, bias and rows follow from `motion` by differentiation,
-whichever end the tree starts at.
-"""
+whichever end the tree starts at."""
 
 import jax
 import jax.numpy as jnp
@@ -110,8 +109,8 @@ def test_coordinates_and_speeds_follow_from_the_motion(kind):
     velocity, spin = (tuple(sp.apply(pose.rotation, tuple(part))) for part in twist)
     seen = loops.Relative(pose, velocity, spin)
     assert_same_motion(joint, q, v, seen)
-    there_and_back = loops.reverse(
-        loops.reverse(seen, joint.reversal), sp.transpose(joint.reversal)
+    there_and_back = loops.reverse_relative(
+        loops.reverse_relative(seen, joint.reversal), sp.transpose(joint.reversal)
     )
     assert_same_motion(joint, q, v, there_and_back)
 
@@ -150,8 +149,7 @@ def test_home_is_the_drawing_and_counts_agree(kind):
 @pytest.mark.parametrize("kind", JOINTS, ids=by_name)
 def test_rows_vanish_on_the_joints_own_motion(kind, turned_round):
     """The same constraint whether the connection is a branch of the tree, started at either end, or
-    closes a loop.
-    """
+    closes a loop."""
     rng = np.random.default_rng(3)
     fixed = jc.Marker("ground", (0.1, 0.2, 0.3), quaternion=tuple(rng.normal(size=4)))
     moving = jc.Marker("body", (0.3, 0.1, -0.2), quaternion=tuple(rng.normal(size=4)))
@@ -172,8 +170,7 @@ def test_rows_vanish_on_the_joints_own_motion(kind, turned_round):
 
 def test_rows_rates_and_accelerations_are_derivatives():
     """All rows between two moving bodies, against nested derivatives of the residual along the
-    motion.
-    """
+    motion."""
     rng = np.random.default_rng(4)
     body = jc.Body(1.0, (1.0, 1.2, 1.3), (0.1, -0.2, 0.05))
     ends = [

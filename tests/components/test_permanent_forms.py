@@ -2,8 +2,7 @@
 such form.
 
 Where a load presses a journal, ball or slider: of all poses that do not overlap, the one in
-which the load has done the most work.
-"""
+which the load has done the most work."""
 
 from typing import Any, ClassVar
 

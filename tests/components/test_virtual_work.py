@@ -1,6 +1,5 @@
 """A clearance joint's wrench does exactly the work that its indentations tell, for every joint,
-worn or not.
-"""
+worn or not."""
 
 import jax
 import jax.numpy as jnp
@@ -46,8 +45,7 @@ def rotation_of(vector):
 
 def situation(name, rng):
     """Place, orientation, velocity and spin of a journal pressed into its bearing, tilted where it
-    may.
-    """
+    may."""
     flat = name == "PlanarJournalBearing"
     direction = rng.uniform(0, 2 * np.pi)
     offset = 1.3e-4 * np.array(
@@ -93,7 +91,11 @@ def test_every_clearance_joint_is_tested():
     assert set(joints(None)) == {kind.__name__ for kind in members(AbstractClearance)}
 
 
-@pytest.mark.parametrize("friction", [None, SLIP], ids=["frictionless", "friction"])
+@pytest.mark.parametrize(
+    "friction",
+    [pytest.param(None, marks=pytest.mark.slow), SLIP],
+    ids=["frictionless", "friction"],
+)
 @pytest.mark.parametrize("name", sorted(joints(None)))
 def test_power_of_the_wrench_is_the_power_of_the_contacts(name, friction):
     joint = joints(friction)[name]

@@ -1,6 +1,5 @@
 """Told errors beside true ones, against solutions from outside: orders that are known, bounces
-solved event by event, Archard's law, references in tight tolerances.
-"""
+solved event by event, Archard's law, references in tight tolerances."""
 
 import math
 
@@ -50,7 +49,14 @@ STEPS = {
 }
 
 
-@pytest.mark.parametrize("name", STEPS)
+@pytest.mark.parametrize(
+    "name",
+    [
+        "rk4",
+        "implicit",
+        *(pytest.param(n, marks=pytest.mark.slow) for n in ("semi_implicit", "heun")),
+    ],
+)
 def test_three_lengths_of_steps_show_the_known_order(name, monkeypatch):
     monkeypatch.setattr(verification, "DOUBT", 0.0)
     order, integrator = STEPS[name]
@@ -103,8 +109,13 @@ RUNGS = {
 
 @pytest.mark.parametrize(
     ("law", "rung"),
-    [*((HERTZ, rung) for rung in RUNGS), (STRANGERS, "adaptive")],
-    ids=[*RUNGS, "a stranger's law"],
+    [
+        pytest.param(HERTZ, "fixed", marks=pytest.mark.slow),
+        pytest.param(HERTZ, "adaptive", marks=pytest.mark.slow),
+        (HERTZ, "implicit"),
+        (STRANGERS, "adaptive"),
+    ],
+    ids=["fixed", "adaptive", "implicit", "a stranger's law"],
 )
 def test_a_chain_of_bounces_tells_how_far_off_it_is(law, rung):
     """And so does a law and a response that nobody here knows of."""
@@ -134,7 +145,7 @@ def test_archards_law_at_a_constant_load_is_within_its_told_error():
     assert abs(float(deepest.value) - depth) <= float(deepest.error) + beside * depth
 
 
-@pytest.mark.parametrize("rung", ["fixed", "implicit"])
+@pytest.mark.parametrize("rung", ["fixed", pytest.param("implicit", marks=pytest.mark.slow)])
 def test_what_a_loaded_bearing_loses_is_told_with_its_error(rung):
     rig = loaded_bearing(200.0, jc.friction.CoulombTanh(mu_kinetic=0.1), sliding=True)
     run = jc.simulate(rig, 0.02, save=21, integrator=RUNGS[rung])

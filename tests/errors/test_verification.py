@@ -1,6 +1,5 @@
 """What a run with replicas holds and says: of any response, of any integrator, of odd runs; and
-that it is the same run without them.
-"""
+that it is the same run without them."""
 
 import math
 import pickle

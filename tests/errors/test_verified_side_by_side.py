@@ -1,6 +1,5 @@
 """Runs verified as users' are by default, of every joint, coupling and joint with clearance beside
-every other: side by side in one mechanism, in a plane and in space, and each by itself.
-"""
+every other: side by side in one mechanism, in a plane and in space, and each by itself."""
 
 import jax.numpy as jnp
 import numpy as np

@@ -1,6 +1,5 @@
 """Value and derivatives of the state's rate are finite wherever a mechanism can get, for every
-clearance joint.
-"""
+clearance joint."""
 
 from functools import cache
 
@@ -125,6 +124,7 @@ LONG = {
     "journal_with_collars",
     "ball",
     "ball_with_bristles",
+    "planar_conformal",
 }
 
 

@@ -1,6 +1,5 @@
 """A run either reaches its end with a finite state or says in a sentence why not; it never hands
-back what is no number.
-"""
+back what is no number."""
 
 import hypothesis.strategies as st
 import jax
@@ -126,8 +125,7 @@ def test_force_that_is_no_number_ends_the_run():
 
 class Unsound(jc.wear.AbstractWearLaw):
     """A wear law that loses its number: worn volumes are not held to a tolerance, so no step is
-    refused.
-    """
+    refused."""
 
     def volume_rate(self, normal_force, slip_speed, traction):
         return jnp.nan * slip_speed

@@ -29,6 +29,7 @@ def test_steps_on_groups_count_what_bristles_slide_from_the_touch_on_too():
     np.testing.assert_allclose(found, worn(27, TIGHT), rtol=2e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.verified
 def test_what_bristles_wear_in_too_long_steps_is_said():
     """Within two hundredths is promised: indentations rise by a fifth in a step, and four parts in
@@ -57,6 +58,7 @@ def test_implicit_steps_follow_how_bristles_settle(rebound):
     assert found == pytest.approx(exact, rel=0.03)
 
 
+@pytest.mark.slow
 @pytest.mark.xfail(
     reason="steps a half and a quarter as long take as much: 4 % are told", strict=True
 )

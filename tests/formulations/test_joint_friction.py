@@ -239,7 +239,10 @@ def test_a_study_of_a_joint_that_rubs_controls_its_error():
     assert 'friction in joint "B"' in problem.why_integrator
 
 
-@pytest.mark.parametrize("integrator", [jc.integrator.FixedStep(1e-3), NON_COLLIDING])
+@pytest.mark.parametrize(
+    "integrator",
+    [pytest.param(jc.integrator.FixedStep(1e-3), marks=pytest.mark.slow), NON_COLLIDING],
+)
 def test_friction_is_in_the_reaction_of_the_joint_that_closes_the_loop_too(integrator):
     """A parallelogram whose pins, clamped, rub by mu F r."""
     law = STICKS if integrator is NON_COLLIDING else FAST

@@ -18,6 +18,11 @@ STEPS = {
 }
 
 
+def each(*fast):
+    """Steps of every kind, those that are not fast marked slow."""
+    return [pytest.param(n, marks=() if n in fast else pytest.mark.slow) for n in STEPS]
+
+
 def ran(rig, duration, integrator, save=2):
     return jc.simulate(rig, duration, integrator=integrator, save=save, balance=True, verify=False)
 
@@ -35,7 +40,7 @@ def slide(*loads, speed=0.0):
     )
 
 
-@pytest.mark.parametrize("kind", STEPS)
+@pytest.mark.parametrize("kind", each("adaptive", "rigid"))
 def test_a_brake_holds_until_it_is_let_go_below_what_pulls(kind):
     """Under 2 N, by 5 - 2 t: at rest up to 1.5 s, then m q'' = 2 t - 3; from 2.5 s on nothing
     holds, and the negative rest of the signal counts as 0."""
@@ -56,13 +61,15 @@ def pulses(most):
     return lambda t: most * jnp.maximum(jnp.sin(2 * jnp.pi * t), 0.0)
 
 
-@pytest.mark.parametrize("kind", STEPS)
+@pytest.mark.parametrize("kind", each("fixed", "permanent"))
 def test_what_a_clutch_takes_from_a_shaft_is_the_impulse_of_its_signal(kind):
     run = ran(slide(jc.load.JointFriction("slide", pulses(3.0)), speed=5.0), 2.0, STEPS[kind])
     np.testing.assert_allclose(last(run, "speed", "slide"), 5.0 - 2 * 3.0 / np.pi / MASS, rtol=2e-4)
 
 
-@pytest.mark.parametrize("kind", ["adaptive", "rigid", "permanent"])
+@pytest.mark.parametrize(
+    "kind", ["permanent", *(pytest.param(n, marks=pytest.mark.slow) for n in ("adaptive", "rigid"))]
+)
 def test_derivatives_go_by_the_friction_of_a_clutch(kind):
     """Of Adaptive through a bristle that it resolves; through a stiffer one, as by default, they
     are that or nan."""
@@ -107,7 +114,7 @@ def brake(by="pad spring", factor=0.02, **more):
     )
 
 
-@pytest.mark.parametrize("kind", STEPS)
+@pytest.mark.parametrize("kind", each("implicit", "rigid"))
 def test_a_brake_takes_its_share_of_the_force_that_presses_it(kind):
     """The spring's force is k x_0 |cos(20 t)|: over half a turn its impulse is 2 k x_0 / 20."""
     run = ran(brake(), np.pi / 20, STEPS[kind])
@@ -115,7 +122,7 @@ def test_a_brake_takes_its_share_of_the_force_that_presses_it(kind):
     np.testing.assert_allclose(last(run, "speed", "axle"), 40.0 - taken, rtol=2e-4)
 
 
-@pytest.mark.parametrize("kind", ["adaptive", "rigid"])
+@pytest.mark.parametrize("kind", [pytest.param("adaptive", marks=pytest.mark.slow), "rigid"])
 def test_derivatives_go_by_the_factor_of_what_presses(kind):
     def end(factor):
         where = lambda own: own.loads["brake"].torque.factor
@@ -129,7 +136,7 @@ def test_derivatives_go_by_the_factor_of_what_presses(kind):
     np.testing.assert_allclose(slope, -2 * STIFFNESS * START / 20 / INERTIA, rtol=1e-3)
 
 
-@pytest.mark.parametrize("kind", ["adaptive", "permanent"])
+@pytest.mark.parametrize("kind", ["adaptive", pytest.param("permanent", marks=pytest.mark.slow)])
 def test_a_coupling_that_is_a_force_presses_as_a_load_does(kind):
     """A rope of the spring's stiffness, taut throughout, in the spring's place."""
     rope = jc.coupling.Rope(("pad",), (1.0,), stiffness=STIFFNESS, pretension=20.0)

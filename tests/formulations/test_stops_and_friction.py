@@ -1,6 +1,9 @@
 """Stops and dry friction on coordinates, and play with rigid flanks: closed forms, in every kind of
 step."""
 
+import json
+from pathlib import Path
+
 import diffrax
 import jax
 import jax.numpy as jnp
@@ -12,6 +15,7 @@ from jaxclear.laws.rebound import damping_ratio_of, restitution_of
 
 MASS, SPEED, GRAVITY = 2.0, 1.5, 10.0
 RIGID = jc.integrator.MoreauJean(1e-4)
+SLOW = pytest.mark.slow
 PERMANENT = jc.integrator.NonColliding(1e-3)
 
 
@@ -63,8 +67,15 @@ def test_what_runs_into_a_stop_without_restitution_in_permanent_contact_stays_th
     assert np.abs(run.energy_balance().error).max() < 1e-12
 
 
-@pytest.mark.parametrize("integrator", [RIGID, PERMANENT], ids=["rigid", "permanent"])
-@pytest.mark.parametrize("stiffness", [1e5, 1e12])
+@pytest.mark.parametrize(
+    ("integrator", "stiffness"),
+    [
+        (RIGID, 1e12),
+        (PERMANENT, 1e5),
+        pytest.param(RIGID, 1e5, marks=SLOW),
+        pytest.param(PERMANENT, 1e12, marks=SLOW),
+    ],
+)
 def test_a_stiff_stop_is_rigid_where_steps_do_not_follow_its_spring(integrator, stiffness):
     """It gives way by its load over its stiffness at rest, or by less than a step's fall."""
     damping = 2 * np.sqrt(stiffness * MASS)
@@ -111,11 +122,11 @@ def unfolding_arm(share):
 @pytest.mark.parametrize(
     "integrator",
     [
-        jc.integrator.Adaptive(),
         jc.integrator.ImplicitStep(1e-4),
-        jc.integrator.FixedStep(1e-4),
+        pytest.param(jc.integrator.Adaptive(), marks=SLOW),
+        pytest.param(jc.integrator.FixedStep(1e-4), marks=SLOW),
     ],
-    ids=["adaptive", "implicit", "fixed"],
+    ids=["implicit", "adaptive", "fixed"],
 )
 def test_a_stop_gives_back_its_share_whatever_the_inertia_was_at_the_start(integrator):
     """Newton's rule of impact. The steps of fixed length meet the stop within a hundredth of its
@@ -189,7 +200,7 @@ HOLDING = {
 }
 
 
-@pytest.mark.parametrize("kind", HOLDING)
+@pytest.mark.parametrize("kind", ["compliant", "rigid", pytest.param("permanent", marks=SLOW)])
 def test_friction_holds_under_a_ramp_and_breaks_away_at_its_torque(kind):
     """5 N of friction under 2 t N: at rest up to 2.5 s, then m q'' = 2 t - 5."""
     integrator, accuracy = HOLDING[kind]
@@ -218,7 +229,12 @@ FROM_REST = {
 
 @pytest.mark.parametrize(
     ("kind", "turns"),
-    [*((kind, False) for kind in FROM_REST), ("compliant", True), ("permanent", True)],
+    [
+        ("implicit", False),
+        ("permanent", True),
+        *(pytest.param(kind, False, marks=SLOW) for kind in ("compliant", "fixed", "permanent")),
+        pytest.param("compliant", True, marks=SLOW),
+    ],
 )
 def test_what_little_more_than_its_friction_pushes_from_rest_goes_by_the_rest(kind, turns):
     """0.5 kg (kg m^2) under 1.0 N (N m) and 0.8 of friction: 0.4 t^2 / 2, whatever the joint."""
@@ -300,70 +316,17 @@ def two_masses(play, *loads, stiffness=None, damping=None, speed=0.0):
     )
 
 
-# Angles of motor and load at these times [s], for flanks that keep this share of their speed: own
-# computation, event by event, pieces by matrix exponential (numpy, scipy; other scans of the
-# instants move them by 1e-13).
-FLANKS = {
-    0.0: (
-        0.8,
-        [
-            0.0,
-            0.08594771987,
-            0.14056215521,
-            0.16406499026,
-            0.20558275251,
-            0.19286391411,
-            0.23700309132,
-            0.20179807409,
-            0.2529810832,
-        ],
-        [
-            0.0,
-            0.08396505309,
-            0.14256215521,
-            0.16206499026,
-            0.20758275251,
-            0.19086391411,
-            0.23900309132,
-            0.19979807409,
-            0.2549810832,
-        ],
-    ),
-    0.7: (
-        0.3,
-        [
-            0.0,
-            0.01002809819,
-            0.04763101249,
-            0.10399490313,
-            0.14370267019,
-            0.1461589654,
-            0.13020952218,
-            0.13091224458,
-            0.16408290134,
-        ],
-        [
-            0.0,
-            0.00802809819,
-            0.04563101249,
-            0.10383400005,
-            0.14570267019,
-            0.1481589654,
-            0.12941176555,
-            0.12891224458,
-            0.16208290134,
-        ],
-    ),
-}
+PATH = Path(__file__).parents[1] / "refdata" / "rigid_flanks.json"
+FLANKS = {case["restitution"]: case for case in json.loads(PATH.read_text())["cases"]}
 
 
 @pytest.mark.parametrize("share", FLANKS)
 def test_rigid_flanks_meet_as_exact_ones(share):
     """To the first order of the steps: impacts are taken up to a step late."""
-    duration, motor, load = FLANKS[share]
+    motor, load = FLANKS[share]["motor"], FLANKS[share]["load"]
     play = jc.clearance.Backlash(2 * TWO["half"], restitution=share)
     rig = two_masses(play, stiffness=1e5, damping=10.0, speed=0.2)
-    run = ran(rig, duration, jc.integrator.MoreauJean(1e-5), save=len(motor))
+    run = ran(rig, FLANKS[share]["duration"], jc.integrator.MoreauJean(1e-5), save=len(motor))
     np.testing.assert_allclose(run.coordinate("motor"), motor, atol=1e-5)
     np.testing.assert_allclose(run.coordinate("load"), load, atol=1e-5)
     gear = run.coupling("gear")
@@ -379,7 +342,9 @@ REVERSING = {
 }
 
 
-@pytest.mark.parametrize("kind", REVERSING)
+@pytest.mark.parametrize(
+    "kind", ["permanent", *(pytest.param(n, marks=SLOW) for n in ("compliant", "rigid"))]
+)
 def test_reversal_value_of_a_load_held_by_friction_is_play_and_wind_up(kind):
     """2 b + 2 t / k, with a servo that sees the motor."""
     integrator, _, accuracy = REVERSING[kind]
@@ -519,7 +484,9 @@ def test_losses_beside_rigid_flanks_are_refused(integrator):
 
 
 @pytest.mark.parametrize(
-    "solver", [jc.integrator.MuntheKaas(4), diffrax.Kvaerno5()], ids=["on groups", "implicit"]
+    "solver",
+    [pytest.param(jc.integrator.MuntheKaas(4), marks=SLOW), diffrax.Kvaerno5()],
+    ids=["on groups", "implicit"],
 )
 def test_bristles_end_at_their_bound_in_loops_of_diffrax(solver):
     """Slope by the friction of where a body that a sine pulls is after half a second: a

@@ -104,23 +104,6 @@ def test_number_of_short_steps_varies_without_compiling_again():
         eqx.filter_jit(once)(jc.integrator.FixedStep(LONG, contact_steps=parts))
 
 
-@pytest.mark.parametrize(
-    ("settings", "sentence"),
-    [
-        (
-            {"contact_steps": 0},
-            "integrator.FixedStep has contact_steps = 0; it must be at least 1",
-        ),
-        (
-            {"contact_steps": 4, "steps_per_save": 5},
-            "takes contact_steps or steps_per_save, not both",
-        ),
-        (
-            {"steps_per_save": 0},
-            "integrator.FixedStep has steps_per_save = 0; it must be a whole number",
-        ),
-    ],
-)
-def test_settings_that_cannot_be_say_so(settings, sentence):
-    with pytest.raises(ValueError, match=sentence):
-        jc.integrator.FixedStep(**settings)
+def test_a_count_of_steps_in_contact_beside_one_of_steps_per_save_is_refused():
+    with pytest.raises(ValueError, match="takes contact_steps or steps_per_save, not both"):
+        jc.integrator.FixedStep(contact_steps=4, steps_per_save=5)

@@ -40,6 +40,7 @@ def closed_form(stiffness, end=1.0):
     return (1.0 - motion[0, 0]) / stiffness
 
 
+@pytest.mark.slow
 def test_at_rest_it_is_no_number_where_the_motion_alone_controls_steps():
     found = derivative(1e4, 0.0, solver=jc.integrator.MuntheKaas(4))
     assert jc.explain_nan(found).startswith("In steps of another length")

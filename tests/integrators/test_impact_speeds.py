@@ -136,7 +136,12 @@ RUNGS = {
 }
 
 
-@pytest.mark.parametrize("rung", RUNGS)
+FAST = "Adaptive", "ImplicitStep"
+
+
+@pytest.mark.parametrize(
+    "rung", [pytest.param(n, marks=() if n in FAST else pytest.mark.slow) for n in RUNGS]
+)
 def test_restitution_is_the_law_s_within_a_thousandth(rung):
     """0.01 to 10 m/s, every law with a memory at two restitutions, at the defaults of its rung (an
     implicit step is told to resolve the impact). Ten m/s cross the clearance in 50 us: a state that

@@ -257,20 +257,6 @@ def test_rest_is_finite_with_its_derivative():
         assert np.isfinite(value).all() and np.isfinite(slope).all()
 
 
-@pytest.mark.parametrize(
-    ("setting", "value", "sentence"),
-    [
-        ("step", 0.0, "= 0 s; it must be above 0"),
-        ("rebound", 1.1, "= 1.1; it must be at least 0"),
-        ("newton_iterations", 0, "= 0; it must be a whole number"),
-        ("steps_per_save", 1.5, "= 1.5; it must be a whole number"),
-    ],
-)
-def test_settings_that_cannot_be_say_so(setting, value, sentence):
-    with pytest.raises(ValueError, match=f"integrator.ImplicitStep has {setting} {sentence}"):
-        jc.integrator.ImplicitStep(**{setting: value})
-
-
 @pytest.mark.slow
 def test_a_bearing_without_friction_wears_as_on_a_tight_run():
     """Archard's wear asks for sliding, not for friction."""
@@ -293,6 +279,7 @@ def test_a_bearing_without_friction_wears_as_on_a_tight_run():
     np.testing.assert_allclose(long, tight, rtol=0.1)
 
 
+@pytest.mark.slow
 def test_a_contact_without_damping_beside_a_play_moves_as_alone():
     """Nothing connects the two, so each is where it is without the other."""
     journal = held_journal(jc.contact.Hertz(stiffness=1e8), speeds=(0.0, -0.1, 0.0))

@@ -10,6 +10,7 @@ import jaxclear as jc
 from jaxclear.simulation.simulate import saving_times
 from tests.rigs.falling_journal import touching_journal
 
+SLOW = pytest.mark.slow
 NEWTON = optimistix.Newton(rtol=1e-6, atol=1e-8)
 
 
@@ -99,8 +100,12 @@ def ends():
 
 @pytest.mark.parametrize(
     ("method", "scene"),
-    [(method, "top") for method in ORDERS]
-    + [(method, "four-bar") for method in ("semi_implicit", "implicit")],
+    [
+        ("rk4", "top"),
+        ("implicit", "four-bar"),
+        *(pytest.param(method, "top", marks=SLOW) for method in ORDERS if method != "rk4"),
+        pytest.param("semi_implicit", "four-bar", marks=SLOW),
+    ],
 )
 def test_fixed_steps_converge_with_their_order(method, scene, ends):
     """No contact, so nothing but the method makes the error."""

@@ -78,8 +78,7 @@ def contact_elastic_part_is_the_force_at_rest(law):
 
 def contact_dissipates_over_a_cycle(law):
     """Closed paths in the indentation, some leaving contact: the work done on the contact is never
-    negative.
-    """
+    negative."""
     phase = np.linspace(0, 2 * np.pi, 4001)
     for deepest in (1e-7, 1e-5, 2e-4):
         for speed in (1e-3, 0.1, 1.0):
@@ -104,8 +103,7 @@ def contact_dissipates_over_a_cycle(law):
 
 def rebound(law, speed=0.1, mass=1.0):
     """Speed ratio after one impact of a free mass, integrated by scipy's DOP853, independently of
-    JAX's solvers.
-    """
+    JAX's solvers."""
     force = jax.jit(lambda depth, rate: law.normal_force(depth, rate, jnp.asarray(speed)))
 
     def right_hand_side(_, state):
@@ -165,8 +163,7 @@ CONTACT_CHECKS = (
 
 def contact_contract(law):
     """Zero when open, never pulls, continuous, differentiable, dissipative, restitution recovered,
-    free of units.
-    """
+    free of units."""
     for check in CONTACT_CHECKS:
         check(fitted(law, shape()))
 
@@ -247,8 +244,7 @@ def bristle_force(law, deflection, slip):
 
 def slide(law, slip, step):
     """Deflection and coefficient at the start of each Runge-Kutta step under a prescribed slip
-    (sampled at half steps), from rest.
-    """
+    (sampled at half steps), from rest."""
 
     def rate(deflection, slip):
         return law.deflection_rate(deflection, slip, jnp.abs(slip))
@@ -270,8 +266,7 @@ def bristle_is_zero_at_rest(law):
 
 def to_and_fro(amplitude):
     """A slip [m/s] of four random waves, and a step [s] in which it goes a tenth of the yield
-    deflection.
-    """
+    deflection."""
     rng = np.random.default_rng(0)
     time = np.arange(8001) / 2
     waves = [
@@ -342,8 +337,7 @@ BRISTLE_CHECKS = (
 
 def friction_contract(law):
     """Zero at rest, opposing, bounded, continuous, differentiable, free of units; a set-valued law
-    only declares itself.
-    """
+    only declares itself."""
     if law.set_valued:
         assert law.coulomb() is law and largest_coefficient(law) >= 0
         return
@@ -390,7 +384,6 @@ WEAR_CHECKS = (
 
 def wear_contract(law):
     """No load or no sliding, no wear; never negative, growing with load and speed, differentiable,
-    free of units.
-    """
+    free of units."""
     for check in WEAR_CHECKS:
         check(law)

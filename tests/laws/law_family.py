@@ -28,8 +28,7 @@ def shape():
 
 def members(abstract):
     """Every concrete law of the package below `abstract`, in order of name; other tests' own laws
-    are theirs to check, and a choice between laws, which studies make, is none.
-    """
+    are theirs to check, and a choice between laws, which studies make, is none."""
     found = set()
     for child in abstract.__subclasses__():
         found |= set(members(child))
@@ -74,11 +73,11 @@ def contact_laws():
 
 
 def contact_products():
-    """Every elastic force times every dissipation factor, as pytest's parameters: as many as hold
-    each force and each factor run always, the rest as slow tests."""
+    """Every elastic force times every dissipation factor, as pytest's parameters: three run always,
+    since each force and each factor is tried alone, the rest as slow tests."""
     forces = family(contact.AbstractElasticForce)
     factors = family(contact.AbstractDissipation)
-    always = {(i % len(forces), i % len(factors)) for i in range(max(len(forces), len(factors)))}
+    always = {(i % len(forces), i % len(factors)) for i in (1, 5, 9)}
     return [
         pytest.param(
             contact.ContactForce(force, factor),
@@ -99,8 +98,7 @@ def assert_finite(tree, what):
 
 def assert_finite_derivatives(function, law, arguments):
     """Value, grad, jvp and vmap of grad, by the arguments and by every parameter of the law, at
-    rows of arguments.
-    """
+    rows of arguments."""
 
     def value(law, row):
         return function(law, *row)
@@ -133,8 +131,7 @@ def assert_finite_derivatives(function, law, arguments):
 
 def unit_factor(unit, exponents):
     """By how much a number of this unit grows in the new base units; field names stand for
-    exponents.
-    """
+    exponents."""
     for name, exponent in exponents.items():
         unit = re.sub(rf"\b{name}\b", str(exponent), unit)
     dimensions = UNITS.Quantity(1.0, "" if unit == "1" else unit).dimensionality
@@ -169,8 +166,7 @@ def grid(*axes):
 
 def evaluate(function, rows):
     """The function at every row of arguments; a method of a law is compiled once per class, not
-    once per call.
-    """
+    once per call."""
     return np.asarray(_mapped(function, jnp.asarray(rows)))
 
 

@@ -21,7 +21,7 @@ import jaxclear as jc
 from jaxclear.laws import contact, friction
 from jaxclear.laws.contact.base import SHALLOWEST, indentation_under
 from jaxclear.laws.material import Material, combined_modulus, steel
-from jaxclear.laws.stiffness import HertzStiffness, LengthOf, Shape, fitted
+from jaxclear.laws.stiffness import HertzStiffness, Shape, fitted
 from tests.laws.contracts import (
     CONTACT_CHECKS,
     contact_contract,
@@ -45,8 +45,7 @@ def test_contact_law_keeps_the_contract(law, check):
 @pytest.mark.parametrize("law", PRODUCTS)
 def test_every_product_keeps_the_contract(law):
     """All but what is of one part alone: the rebound (see test_restitution), the stiffness. Not
-    compiled, which would take longer than the evaluations.
-    """
+    compiled, which would take longer than the evaluations."""
     of_one_part = (contact_recovers_restitution, contact_stiffness_is_the_slope)
     with jax.disable_jit():
         for check in CONTACT_CHECKS:
@@ -97,16 +96,6 @@ def test_combined_modulus_of_a_rigid_partner_is_the_other_bodys():
     np.testing.assert_allclose(combined_modulus(soft, soft), 70e9 / (1 - 0.09) / 2, rtol=1e-12)
 
 
-def test_journal_larger_than_its_bearing_is_refused_by_name_of_the_remedy():
-    with pytest.raises(ValueError, match="outer radius must be the larger one"):
-        Shape(10e-3, 9.9e-3)
-
-
-def test_line_contact_without_length_is_refused():
-    with pytest.raises(ValueError, match="Shape.length"):
-        LengthOf().value(Shape(9e-3, 10e-3))
-
-
 def test_fits_are_found_at_any_depth():
     nested = fitted(
         (contact.Hertz(HertzStiffness(steel(), steel())), {"line": contact.Johnson()}), shape()
@@ -127,8 +116,7 @@ def test_deepest_indentation_of_an_elastic_impact():
 
 def test_kelvin_voigt_rebounds_as_the_damped_oscillator():
     """Without pulling the mass leaves when K x + D v = 0: e = exp(-zeta phi / sqrt(1 - zeta^2)),
-    Schwager & Poschel 2007.
-    """
+    Schwager & Poschel 2007."""
     stiffness, mass, zeta = 1e8, 1.0, 0.1
     law = contact.KelvinVoigt(
         stiffness=stiffness, damping=2 * zeta * np.sqrt(stiffness * mass), onset_depth=1e-9
@@ -177,7 +165,7 @@ def _value_and_slopes(law, indentation, rate):
     return jax.value_and_grad(force, argnums=(0, 1, 2))(law, indentation, rate)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(
     exponents,
     st.floats(-16, -3),
@@ -224,11 +212,6 @@ def test_every_friction_law_of_the_package_gives_its_coefficients(kind):
     assert float(found.bound(0.0)) == (0.4 if static else 0.2)
 
 
-def test_a_restitution_above_one_is_refused():
-    with pytest.raises(ValueError, match=r"contact.Rigid has restitution = 1.5; .* at most 1"):
-        contact.Rigid(restitution=1.5)
-
-
 SHAPE = Shape(9.95e-3, 10e-3, 20e-3)
 PRESSED = [
     jc.contact.Hertz(stiffness=1e10),
@@ -245,23 +228,27 @@ PRESSED = [
 ]
 
 
+@jax.jit
+def pressed(law, forces):
+    """Depth under forces, the force there, and the slopes of both."""
+
+    def at(force):
+        depth, slope = jax.value_and_grad(lambda f: indentation_under(law, f))(force)
+        return depth, slope, *jax.value_and_grad(law.elastic_force)(depth)
+
+    return jax.vmap(at)(forces)
+
+
 @pytest.mark.parametrize("law", PRESSED, ids=str)
 def test_the_law_gives_the_force_back_and_its_slope(law):
+    """No force presses next to nothing, with a finite slope."""
     law = fitted(law, SHAPE)
-    force = jnp.asarray([100.0, 1e3, 1e4, 1e6])
-    depth = jax.vmap(lambda f: indentation_under(law, f))(force)
-    least = law.elastic_force(jnp.asarray(SHALLOWEST))
-    np.testing.assert_allclose(jax.vmap(law.elastic_force)(depth), force + least, rtol=1e-6)
-    slope = jax.vmap(jax.grad(lambda f: indentation_under(law, f)))(force)
-    steep = jax.vmap(jax.grad(law.elastic_force))(depth)
-    np.testing.assert_allclose(slope, 1 / steep, rtol=1e-5)
-
-
-@pytest.mark.parametrize("law", PRESSED, ids=str)
-def test_no_force_presses_next_to_nothing_with_a_finite_slope(law):
-    law = fitted(law, SHAPE)
-    depth, slope = jax.value_and_grad(lambda f: indentation_under(law, f))(0.0)
-    assert depth == pytest.approx(SHALLOWEST, rel=1e-9) and np.isfinite(slope) and slope > 0
+    forces = np.array([0.0, 100.0, 1e3, 1e4, 1e6])
+    depth, slope, found, steep = map(np.asarray, pressed(law, forces))
+    np.testing.assert_allclose(found[1:], forces[1:] + found[0], rtol=1e-6)
+    np.testing.assert_allclose(slope[1:], 1 / steep[1:], rtol=1e-5)
+    assert depth[0] == pytest.approx(SHALLOWEST, rel=1e-9) and np.isfinite(slope[0])
+    assert slope[0] > 0
 
 
 def test_rigid_parts_do_not_overlap():

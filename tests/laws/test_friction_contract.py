@@ -64,7 +64,7 @@ def _value_and_slope(law, slip_speed):
     return jax.value_and_grad(lambda law, v: law.coefficient(v), argnums=(0, 1))(law, slip_speed)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(coefficients, coefficients, exponents, st.floats(-12, 2), st.booleans())
 def test_extreme_parameters_stay_finite(mu_static, mu_kinetic, exponent, speed_exponent, at_rest):
     mu_kinetic, mu_static = sorted((mu_static, mu_kinetic))
@@ -96,7 +96,7 @@ def test_extreme_parameters_stay_finite(mu_static, mu_kinetic, exponent, speed_e
         assert all(np.isfinite(leaf) for leaf in jax.tree.leaves(slopes))
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(coefficients, coefficients, exponents, st.floats(-3, 3))
 def test_extreme_bristles_stay_finite(mu_static, mu_kinetic, exponent, slip):
     mu_kinetic, mu_static = sorted((mu_static, mu_kinetic))
@@ -152,8 +152,7 @@ def test_ambrosio_and_threlfall_and_bengisu_akay_at_chosen_speeds():
 
 def test_dahl_follows_its_closed_solution():
     """At constant slip z = z_0 (1 - exp(-v t / z_0)), so the coefficient depends on the distance
-    alone.
-    """
+    alone."""
     law = friction.Dahl(mu_kinetic=0.3, presliding=1e-6)
     step, speed = 1e-5, 1e-3
     distance = speed * step * np.arange(1000)
@@ -173,8 +172,7 @@ def test_lugre_slides_on_the_stribeck_curve():
 
 def test_lugre_stays_passive_however_slow_its_bristles_settle():
     """The fading damping keeps t |v| / (z_0 s) below 4, the limit of passivity, even at a settling
-    time of a second.
-    """
+    time of a second."""
     bristle_never_gives_energy_and_its_springs_are_bounded(friction.LuGre(settling_time=1.0))
 
 
@@ -223,11 +221,9 @@ def test_slopes_are_finite_at_rest_and_across_the_series():
         )
         return -force
 
-    slips = jnp.asarray([0.0, 9.9e-5, 1e-4, 1.01e-4, 1e-2, 10.0])
-    slopes = jax.vmap(jax.grad(mean))(slips)
+    slips = np.array([0.0, 9.9e-5, 1e-4, 1.01e-4, 1e-2, 10.0])
+    values, slopes = map(np.asarray, jax.jit(jax.vmap(jax.value_and_grad(mean)))(slips))
     assert np.all(np.isfinite(slopes))
     # The series meets what it stands for: a deflection settles by a thousandth there.
-    values = jax.vmap(mean)(slips[1:4])
-    assert np.ptp(np.diff(np.asarray(values)) / np.diff(np.asarray(slips[1:4]))) < 1e-2 * abs(
-        float(values[0]) / 1e-4
-    )
+    kink = np.ptp(np.diff(values[1:4]) / np.diff(slips[1:4]))
+    assert kink < 1e-2 * abs(values[1] / 1e-4)

@@ -57,27 +57,27 @@ def at_rest(mechanism, periods=1.0):
 
 
 def test_tip_of_a_cantilever_its_stress_and_its_derivative():
-    force = 1.0
-    exact = force * LENGTH**3 / (3 * MODULUS * SECOND)
+    force, segments = 1.0, 2
+    # The middles of elements carry the curvature: 1 - 1 / (4 n^2).
+    exact = force * LENGTH**3 / (3 * MODULUS * SECOND) * (1 - 1 / (4 * segments**2))
 
-    def tip(diameter, segments):
+    def tip(diameter):
         rig = clamped(beam(segments), (0.0, force))
         rig = eqx.tree_at(lambda own: own.bodies["rod"].section.diameter, rig, diameter)
         run = at_rest(rig)
         return run.deflection("rod", "start")[-1, -1, 1], run
 
-    # The middles of elements carry the curvature: 1 - 1 / (4 n^2).
-    there, run = tip(jnp.asarray(DIAMETER), 4)
-    assert there == pytest.approx(exact * (1 - 1 / 64), rel=1e-5)
-    middle = force * (LENGTH - 0.5 * LENGTH / 4)
+    there, run = tip(jnp.asarray(DIAMETER))
+    assert there == pytest.approx(exact, rel=1e-5)
+    middle = force * (LENGTH - 0.5 * LENGTH / segments)
     assert run.stress("rod")[-1, 0] == pytest.approx(middle * 0.5 * DIAMETER / SECOND, rel=1e-4)
     # Its tip turns by the sum of curvatures, beside one that no force bends.
-    straight = at_rest(clamped(beam(4), (0.0, 0.0)))
+    straight = at_rest(clamped(beam(segments), (0.0, 0.0)))
     end = jc.Marker("rod", (LENGTH, 0.0), axis="x")
     turned = jc.pointing_error(run, end, nominal=straight).pointing_angle[-1]
     assert turned == pytest.approx(force * LENGTH**2 / (2 * MODULUS * SECOND), rel=1e-4)
-    slope = jax.jacfwd(lambda own: tip(own, 4)[0])(jnp.asarray(DIAMETER))
-    assert slope == pytest.approx(-4 * exact * (1 - 1 / 64) / DIAMETER, rel=1e-3)
+    slope = jax.jacfwd(lambda diameter: tip(diameter)[0])(jnp.asarray(DIAMETER))
+    assert slope == pytest.approx(-4 * exact / DIAMETER, rel=1e-3)
 
 
 @pytest.mark.slow
@@ -151,8 +151,8 @@ def test_first_frequency(held):
         instants = [float(np.interp(0, -way[i : i + 2], run.time[i : i + 2])) for i in falls]
         return 2 * np.pi * (len(instants) - 1) / (instants[-1] - instants[0])
 
-    coarse, fine = frequency(4), frequency(8)
-    assert abs(fine / exact - 1) < 0.01
+    coarse, fine = frequency(3), frequency(6)
+    assert abs(fine / exact - 1) < 0.02
     assert fine + (fine - coarse) / 3 == pytest.approx(exact, rel=1e-3)
 
 
@@ -219,12 +219,12 @@ def test_spun_up_cantilever():
 
 def test_a_rod_that_bends_stands_in_the_place_of_a_rigid_one():
     base = jc.scenes.slider_crank("planar", 2e-4, crank_speed=150.0)
-    rod = jc.Beam(0.12, jc.section.Circle(6e-3), STEEL, DENSITY, 4, 0.02)
+    rod = jc.Beam(0.12, jc.section.Circle(6e-3), STEEL, DENSITY, 2, 0.02)
     rig = jc.Mechanism(
         base.bodies | {"rod": rod}, base.connections, base.loads, **base.start_arguments
     )
     assert rig.topology.loops == ()
-    assert [rig.connections[n].parent.body for n in ("B", "rod bend 2")] == ["rod 5", "rod 2"]
+    assert [rig.connections[n].parent.body for n in ("B", "rod bend 2")] == ["rod 3", "rod 2"]
     printed = str(rig)
     assert "rod bend" not in printed and "3 bodies, 4 connections, 1 load\n" in printed
     run = jc.simulate(rig, 5e-3, save=26, integrator=jc.integrator.ImplicitStep(2e-5), verify=False)
@@ -236,13 +236,13 @@ def test_a_rod_that_bends_stands_in_the_place_of_a_rigid_one():
     )
     assert '"name": "rod"' in page and '"name": "rod 2"' not in page
     end = run.marker("rod", (0.12, 0.0)).position
-    np.testing.assert_allclose(end, run.marker("rod 5", (0.015, 0.0)).position, atol=1e-15)
+    np.testing.assert_allclose(end, run.marker("rod 3", (0.03, 0.0)).position, atol=1e-15)
     # Its numbers are leaves, and parts can be exchanged.
     assert 'bodies["rod"].section.diameter' in str(rig.parameters())
     stiff = rig.with_body("rod", eqx.tree_at(lambda own: own.section.diameter, rod, 12e-3))
     assert stiff.bodies["rod 3"].mass == pytest.approx(4 * rig.bodies["rod 3"].mass)
     pulled = rig.with_load("pull", jc.load.Force(jc.Marker("rod", (0.06, 0.0)), (0.0, 1.0)))
-    assert pulled.loads["pull"].marker.body == "rod 3"
+    assert pulled.loads["pull"].marker.body == "rod 2"
     again = pickle.loads(pickle.dumps(rig))
     assert again.bodies["rod 2"].mass == rig.bodies["rod 2"].mass
 
@@ -265,7 +265,7 @@ def test_parts_are_exchanged_around_a_beam_and_it_itself():
     assert sum(along) + warm.loads["tip"].marker.at[0] == pytest.approx(1.001 * LENGTH, rel=1e-12)
 
 
-@pytest.mark.parametrize("loose", [False, True])
+@pytest.mark.parametrize("loose", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_beams_start_straight_where_loops_let_them(loose):
     base = jc.scenes.slider_crank("planar", 2e-4, crank_speed=150.0)
     turned, crank, rod = 1.0, 0.05, 0.12
@@ -276,11 +276,11 @@ def test_beams_start_straight_where_loops_let_them(loose):
         n: jc.Connection(given.get(n, own.joint), own.parent, own.child)
         for n, own in base.connections.items()
     }
-    bends = jc.Beam(rod, jc.section.Circle(6e-3), STEEL, DENSITY, 4)
+    bends = jc.Beam(rod, jc.section.Circle(6e-3), STEEL, DENSITY, 2)
     rig = jc.Mechanism(base.bodies | {"rod": bends}, connections, guess={"G": 0.17})
     start = jc.assemble(rig)
     branches = {b.name: b for b in rig.topology.branches}
-    for i in range(4):
+    for i in range(2):
         hinge = branches[f"rod bend {i + 1}"]
         assert abs(start.coordinates[hinge.coordinates]) < 1e-15
         assert abs(start.speeds[hinge.speeds]) < 1e-12

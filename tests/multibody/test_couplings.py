@@ -1,8 +1,7 @@
 """Couplings of coordinates against closed forms, elimination on the mechanism's own mass matrix,
 and another program.
 
-What is wrong with a coupling, or given against one, is said by the coupling's name.
-"""
+What is wrong with a coupling, or given against one, is said by the coupling's name."""
 
 import warnings
 
@@ -18,7 +17,7 @@ from jaxclear.multibody.state import unpack_motion
 from jaxclear.multibody.system import prepare
 from jaxclear.multibody.topology import Redundancy
 from tests.extension.test_coupling import PlanetMesh
-from tests.rigs.planetary import PLANET, RING, SUN
+from tests.rigs.planetary import PLANET, RING, SUN, planetary_accelerations
 from tests.rigs.planetary import planetary as tied
 
 TURN = jc.joint.Revolute()
@@ -92,31 +91,17 @@ def planetary():
 
 
 def test_a_planetary_set_turns_as_willis_says():
-    sun, planet = SUN, PLANET
-    ring = sun + 2 * planet
-    base = planetary()
-    rig = base.with_coupling("willis", None)
-    rig = rig.with_coupling("inner", PlanetMesh("S", "C", "P", sun, planet))
-    rig = rig.with_coupling("outer", PlanetMesh("R", "C", "P", -ring, planet))
+    rig = planetary().with_coupling("willis", None)
+    rig = rig.with_coupling("inner", PlanetMesh("S", "C", "P", SUN, PLANET))
+    rig = rig.with_coupling("outer", PlanetMesh("R", "C", "P", -RING, PLANET))
     found, eliminated = accelerations(rig, [0.3, 0.1, 0.2, 0.4], [1.0, 2.0, 3.0, 4.0])
     # on the same matrix: rounding
     np.testing.assert_allclose(found, eliminated, rtol=1e-12, atol=1e-9)
-    names = [branch.name for branch in rig.topology.branches]
-    by = dict(zip(names, found, strict=True))
-
-    def energy(s, c):
-        p = -sun / planet * (s - c)
-        b = c + planet / ring * p
-        turned = 1e-4 * s**2 + 4e-4 * b**2 + 3e-4 * c**2
-        return 0.5 * (turned + 0.1 * (sun + planet) ** 2 * c**2 + 2e-5 * (c + p) ** 2)
-
-    mixed = energy(1, 1) - energy(1, 0) - energy(0, 1)
-    matrix = np.array([[2 * energy(1, 0), mixed], [mixed, 2 * energy(0, 1)]])
-    wanted = np.linalg.solve(matrix, [1.0, -0.5])
-    np.testing.assert_allclose([by["S"], by["C"]], wanted, rtol=1e-12)
+    by = dict(zip((branch.name for branch in rig.topology.branches), found, strict=True))
+    np.testing.assert_allclose([by["S"], by["C"]], planetary_accelerations(), rtol=1e-12)
     # Willis: (ring - carrier) / (sun - carrier) = - sun's radius / ring's
     share = (by["R"] - by["C"]) / (by["S"] - by["C"])
-    np.testing.assert_allclose(share, -sun / ring, rtol=1e-12)
+    np.testing.assert_allclose(share, -SUN / RING, rtol=1e-12)
 
 
 def test_a_differential_shares_as_willis_says():
@@ -128,8 +113,6 @@ def test_a_differential_shares_as_willis_says():
 @pytest.mark.parametrize(
     "integrator",
     [
-        jc.integrator.Adaptive(),
-        jc.integrator.FixedStep(1e-3),
         jc.integrator.ImplicitStep(1e-3),
         jc.integrator.NonColliding(1e-3),
         jc.integrator.MoreauJean(1e-3),
@@ -210,7 +193,6 @@ def test_derivatives_pass_through_a_ratio():
     numerator, below = DRIVING + LOAD * ratio, J_PINION + J_WHEEL * ratio**2
     exact = 0.5 * 0.1**2 * (LOAD * below - numerator * 2 * J_WHEEL * ratio) / below**2
     # closed form, the motion is exact: rounding
-    np.testing.assert_allclose(jax.jvp(end, (ratio,), (1.0,))[1], exact, rtol=1e-10)
     np.testing.assert_allclose(jax.grad(end)(jnp.asarray(ratio)), exact, rtol=1e-10)
 
 
@@ -234,42 +216,11 @@ def test_mujoco_couples_alike():
     np.testing.assert_allclose(data.qpos, ours, rtol=1e-3)
 
 
-@pytest.mark.parametrize(
-    ("build", "said"),
-    [
-        (lambda: gear_pair().with_coupling("x", jc.coupling.Ratio("A", "A", 1.0)), "twice"),
-        (lambda: gear_pair().with_coupling("x", jc.coupling.Ratio("A", "Z", 1.0)), '"Z"'),
-        (lambda: gear_pair().with_coupling("A", jc.coupling.Ratio("A", "B", 1.0)), "another name"),
-        (lambda: gear_pair().with_coupling("x", None), '"x"'),
-        (lambda: gear_pair().with_coupling("x", TURN), "jaxclear.coupling"),
-        (lambda: gear_pair(turn=jc.joint.Cylindrical()), "it has 2"),
-        (lambda: gear_pair(float("nan")), "finite"),
-    ],
-)
-def test_what_does_not_fit_is_refused(build, said):
-    with pytest.raises(ValueError, match=said):
-        build()
-
-
-def test_a_coupling_of_driven_joints_is_refused():
-    driven = jc.joint.Revolute(jc.drive.Harmonic(1.0, 2.0))
-    rig = gear_pair()
-    loads = {}
-    rig = rig.with_loads(loads).with_joint("A", driven)
-    with pytest.raises(ValueError, match="all of which are driven"):
-        rig.with_joint("B", driven)
-
-
-def test_couplings_stay_with_the_mechanism(tmp_path):
+def test_couplings_stay_with_the_mechanism():
     rig = gear_pair(offset=0.2)
     kept = [rig.with_loads({}), rig.with_joint("A", jc.joint.PlainBearing())]
     assert all(list(own.couplings) == ["mesh"] for own in kept)
-    jc.write_scene(rig, tmp_path / "pair.yaml")
-    again = jc.read_scene(tmp_path / "pair.yaml").mechanism
-    assert str(again) == str(rig)
-    assert jax.tree.structure(again) == jax.tree.structure(rig)
-    names = rig.parameters()["name"]
-    assert 'couplings["mesh"].ratio' in set(names)
+    assert 'couplings["mesh"].ratio' in set(rig.parameters()["name"])
 
 
 REFUSED_TURN = 2 * np.pi
@@ -277,14 +228,13 @@ WHEEL = jc.Body(1.0, 1e-3)
 PIN = jc.joint.Revolute()
 
 
-def pair(couplings, **given):
-    """Two wheels, 0.1 m apart."""
+def pair(couplings, names="ab", **given):
+    """Wheels 0.1 m apart."""
     joints = {
-        "A": jc.Connection(PIN, "ground", "a"),
-        "B": jc.Connection(PIN, "ground", "b", at=(0.1, 0.0)),
-        "C": jc.Connection(PIN, "ground", "c", at=(0.2, 0.0)),
+        name.upper(): jc.Connection(PIN, "ground", name, at=(0.1 * i, 0.0))
+        for i, name in enumerate(names)
     }
-    return jc.Mechanism(dict.fromkeys("abc", WHEEL), joints, couplings=couplings, **given)
+    return jc.Mechanism(dict.fromkeys(names, WHEEL), joints, couplings=couplings, **given)
 
 
 GEAR = {"mesh": jc.coupling.Gear("A", "B", 2.0)}
@@ -297,7 +247,7 @@ def test_couplings_that_contradict_each_other_are_warned_about():
         pair(two)
     round_ = {"ab": Ratio("A", "B", 2.0), "bc": Ratio("B", "C", 2.0), "ca": Ratio("C", "A", 2.0)}
     with pytest.warns(UserWarning, match='couplings "ab", "bc", "ca" together leave joint "A"'):
-        pair(round_)
+        pair(round_, "abc")
 
 
 @pytest.mark.parametrize(
@@ -311,7 +261,7 @@ def test_couplings_that_contradict_each_other_are_warned_about():
 def test_couplings_that_leave_motion_are_not(couplings):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        pair(couplings)
+        pair(couplings, "abc")
 
 
 def test_what_is_given_against_a_coupling_names_it():
@@ -395,8 +345,8 @@ def carried_by(tight, slack, sine):
 
 @pytest.mark.parametrize(
     "radius, crossed, turned",
-    [(0.04, False, 2e-3), (0.06, False, 2e-3), (0.06, True, 2e-3), (0.04, False, 0.03)],
-    ids=["alike", "unlike", "crossed", "slack"],
+    [(0.06, False, 2e-3), (0.06, True, 2e-3), (0.04, False, 0.03)],
+    ids=["open", "crossed", "slack"],
 )
 def test_bearings_carry_both_strands_of_a_belt(radius, crossed, turned):
     """Statics: strands of half the stiffness each pull by F0 + T / 2 r and F0 - T / 2 r, or one

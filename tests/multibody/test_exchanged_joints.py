@@ -1,8 +1,7 @@
 """`mechanism.with_joint`: an ideal joint becomes one with clearance, and the rest stays.
 
 Coordinates and speeds of a connection are its child's, seen from its parent, whichever way the
-tree goes through it: against the pose and the twist that they say, by hand.
-"""
+tree goes through it: against the pose and the twist that they say, by hand."""
 
 import equinox as eqx
 import numpy as np
@@ -70,39 +69,6 @@ def test_a_drive_goes_over_to_a_joint_that_takes_one():
     assert float(after.connections["O"].joint.drive.speed) == 50.0
 
 
-@pytest.mark.parametrize(
-    ("name", "joint", "sentence"),
-    [
-        ("elbw", PLANAR, 'no joint "elbw" in this mechanism.*Did you mean "elbow"'),
-        ("elbow", PLANAR.contact, 'what is put in place of "elbow" is a ContactForce'),
-        ("elbow", jc.joint.Prismatic, "it must be one of jaxclear.joint"),
-        (
-            "elbow",
-            jc.clearance.SliderGuide(STEEL),
-            '"elbow" is a Revolute; a SliderGuide, which without its play is a Prismatic',
-        ),
-    ],
-)
-def test_what_does_not_fit_is_refused(name, joint, sentence):
-    with pytest.raises(ValueError, match=sentence):
-        arm().with_joint(name, joint)
-
-
-def test_a_slide_takes_no_journal():
-    with pytest.raises(ValueError, match='"G" is a Prismatic; a PlanarJournalBearing'):
-        jc.scenes.slider_crank().with_joint("G", PLANAR)
-
-
-def test_a_driven_joint_gets_no_play():
-    with pytest.raises(ValueError, match='"O" is driven, and a PlanarJournalBearing takes no dri'):
-        jc.scenes.slider_crank().with_joint("O", PLANAR)
-
-
-def test_a_bearing_of_the_plane_does_not_hold_a_body_in_space():
-    with pytest.raises(ValueError, match='acts in a plane, and nothing else holds body "fore"'):
-        arm(spatial=True).with_joint("elbow", PLANAR)
-
-
 TURN = Rotation.from_rotvec([0.3, -0.5, 0.8])
 QUATERNION = tuple(TURN.as_quat(scalar_first=True))
 PLACE = np.array([0.2, -0.1, 0.4])
@@ -125,7 +91,9 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("kind", CASES)
+@pytest.mark.parametrize(
+    "kind", ["Spherical", "Planar", pytest.param("Free", marks=pytest.mark.slow)]
+)
 def test_a_joint_whose_child_is_the_ground_begins_as_its_child_is_told(kind):
     (joint, start, speeds), (turn, place, velocity, spin) = CASES[kind]
     rig = jc.Mechanism(
@@ -134,7 +102,7 @@ def test_a_joint_whose_child_is_the_ground_begins_as_its_child_is_told(kind):
         start={"S": start},
         speeds={"S": speeds},
     )
-    run = jc.simulate(rig, 0.2, save=3)
+    run = jc.simulate(rig, 0.2, save=3, integrator=jc.integrator.FixedStep(1e-2))
     body = run.body("top")
     # The ground as seen from the body is told; the body as seen from the ground is its inverse.
     back = turn.inv()

@@ -52,11 +52,9 @@ def test_what_overtakes_is_free_until_it_is_caught():
     np.testing.assert_allclose(run.energy_balance().error, 0.0, atol=1e-6)
 
 
-def hoist(pretension, **given):
+def hoist(**given):
     """A weight on a slide, on a rope over a pulley that is held."""
-    rope = jc.coupling.Rope(
-        ("A", "B"), (0.1, -1.0), pretension=pretension, stiffness=5e3, damping=40.0
-    )
+    rope = jc.coupling.Rope(("A", "B"), (0.1, -1.0), stiffness=5e3, damping=40.0)
     return jc.Mechanism(
         {"a": jc.Body(0.3, J), "b": jc.Body(2.0, 0.01)},
         {
@@ -69,15 +67,8 @@ def hoist(pretension, **given):
     )
 
 
-def test_a_weight_hangs_on_its_rope():
-    run = jc.simulate(hoist(0.0), 3.0, save=3, integrator=ADAPTIVE)
-    np.testing.assert_allclose(run.coordinate("B")[-1], -2.0 * G / 5e3, rtol=1e-6)
-
-
 def test_a_slack_rope_does_not_push():
-    run = jc.simulate(
-        hoist(0.0, speeds={"B": 3.0}), 0.5, save=51, balance=True, integrator=ADAPTIVE
-    )
+    run = jc.simulate(hoist(speeds={"B": 3.0}), 0.5, save=51, balance=True, integrator=ADAPTIVE)
     t = np.asarray(run.time)
     # the rope's length does not count while the weight is above
     np.testing.assert_allclose(run.coordinate("B"), 3.0 * t - 0.5 * G * t**2, atol=1e-9)

@@ -2,8 +2,9 @@
 has clearance.
 
 Stops, dry friction and rotor inertia on the coordinate of a joint: closed forms, energy, and
-what they may act on.
-"""
+what they may act on."""
+
+import functools
 
 import jax
 import jax.numpy as jnp
@@ -77,15 +78,6 @@ def test_loads_on_a_joint_do_not_depend_on_which_joint_closes_the_loop():
         assert abs(balance.error).max() < 1e-9 * balance.potential.max()
 
 
-@pytest.mark.slow
-def test_loads_on_a_tight_bearing_do_as_those_on_the_ideal_joint():
-    ideal = ran(slider_crank("B", *wound("A")))
-    tight = ran(slider_crank("B", *wound("A"), A=BEARING), jc.integrator.FixedStep(2e-6))
-    np.testing.assert_allclose(motion(tight), motion(ideal), atol=1e-3)
-    balance = tight.energy_balance()
-    assert abs(balance.error).max() < 1e-6 * balance.potential.max()
-
-
 RUNGS = {
     "adaptive": jc.integrator.Adaptive(rtol=1e-8, atol=1e-10),
     "groups": jc.integrator.Adaptive(jc.integrator.MuntheKaas(4), rtol=1e-8, atol=1e-10),
@@ -96,13 +88,21 @@ RUNGS = {
 }
 
 
+PRESSED = (jc.load.JointSpring("G", 50.0, 0.1, 0.5),)
+
+
+@functools.cache
+def ideal_run(guide):
+    return ran(slider_crank("B", *(PRESSED if guide else wound("A"))))
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["cut", "bearing", "guide"])
 @pytest.mark.parametrize("rung", RUNGS)
 def test_every_rung_follows_loads_on_joints_outside_the_tree(rung, kind):
     on = "G" if kind == "guide" else "A"
-    loads = (jc.load.JointSpring("G", 50.0, 0.1, 0.5),) if kind == "guide" else wound("A")
-    ideal = ran(slider_crank("B", *loads))
+    loads = PRESSED if kind == "guide" else wound("A")
+    ideal = ideal_run(kind == "guide")
     joints = {"bearing": {"A": BEARING}, "guide": {"G": GUIDE}}.get(kind, {})
     run = ran(slider_crank(on, *loads, **joints), RUNGS[rung])
     np.testing.assert_allclose(motion(run), motion(ideal), atol=3e-3)
@@ -142,7 +142,6 @@ def test_a_run_that_goes_on_keeps_the_turns_of_a_spring():
 
 MASS, STIFFNESS, SPEED = 2.0, 8e4, 1.5
 STEP, FINE = jc.integrator.FixedStep(1e-4), jc.integrator.FixedStep(2e-6)
-STOPPED = jc.clearance.PlanarJournalBearing(jc.contact.Hertz(stiffness=1e9), clearance=1e-4)
 
 
 def slide(*loads, speed=SPEED):
@@ -215,16 +214,6 @@ def test_a_stop_pushes_and_never_pulls(beyond):
 
 
 @pytest.mark.slow
-def test_a_mass_slides_to_rest_by_dry_friction_at_a_constant_rate():
-    friction = jc.load.JointFriction("slide", 5.0, 1e-3)
-    run = jc.simulate(slide(friction), 0.5, save=51, integrator=STEP)
-    speed = np.asarray(run.speed("slide"))
-    np.testing.assert_allclose(
-        speed[:-1], SPEED - 5.0 / MASS * np.asarray(run.time)[:-1], rtol=1e-6
-    )
-
-
-@pytest.mark.slow
 def test_derivatives_pass_through_a_damped_stop():
     """Of the place after the stop by the speed before: as differences of neighbouring runs."""
     stop = jc.load.JointStop("slide", upper=0.0, stiffness=STIFFNESS, damping=200.0)
@@ -239,31 +228,6 @@ def test_derivatives_pass_through_a_damped_stop():
     by_difference = (end(SPEED + near) - end(SPEED - near)) / (2 * near)
     slope = jax.jvp(end, (jnp.asarray(SPEED),), (jnp.ones(()),))[1]
     np.testing.assert_allclose(slope, by_difference, rtol=2e-3)
-
-
-@pytest.mark.parametrize(
-    ("make", "sentence"),
-    [
-        (
-            lambda: arm(jc.load.RotorInertia("elbow", 0.1), elbow=STOPPED),
-            'inertia on the coordinate of joint "elbow", which has clearance',
-        ),
-        (
-            lambda: jc.scenes.slider_crank("ideal").with_loads(
-                {"rotor": jc.load.RotorInertia("B", 0.1)}
-            ),
-            'inertia on the coordinate of joint "B", which closes a loop',
-        ),
-        (lambda: jc.load.JointStop("elbow", stiffness=1.0), "needs lower or upper, or both"),
-        (
-            lambda: jc.load.JointStop("elbow", 0.3, 0.2, stiffness=1.0),
-            "lower 0.3 and upper 0.2; lower must be below upper",
-        ),
-    ],
-)
-def test_what_cannot_be_is_refused(make, sentence):
-    with pytest.raises(ValueError, match=sentence):
-        make()
 
 
 def test_a_drive_takes_the_place_of_what_acts_on_the_coordinate():

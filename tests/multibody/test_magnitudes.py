@@ -2,8 +2,7 @@
 is.
 
 Bodies that move in the plane: what points out of it is never lost silently, and guides have
-walls along every axis in it.
-"""
+walls along every axis in it."""
 
 import warnings
 
@@ -274,7 +273,7 @@ def guided(**axis):
 @pytest.mark.parametrize("integrator", [None, jc.integrator.NonColliding(1e-3)])
 @pytest.mark.parametrize(
     "axis",
-    [*(pytest.param(a, marks=pytest.mark.slow) for a in ("x", "-x", "y")), "-y", (1.0, 0.0, 0.0)],
+    ["-y", *(pytest.param(a, marks=pytest.mark.slow) for a in ("x", "-x", "y", (1.0, 0.0, 0.0)))],
 )
 def test_a_guide_has_walls_along_every_axis_of_the_plane(axis, integrator):
     """It slides freely along its axis and is stopped across it."""
@@ -287,24 +286,7 @@ def test_a_guide_has_walls_along_every_axis_of_the_plane(axis, integrator):
     assert float(np.max(run.contact("G").normal_force)) > 1.0
 
 
-def test_a_guide_out_of_the_plane_is_refused():
-    for axis in ({}, {"axis": (1.0, 0.0, 1.0)}):
-        with pytest.raises(
-            ValueError, match='joint "G" is a SliderGuide whose axis .* must lie in'
-        ):
-            guided(**axis)
-
-
 # --- an axis beside markers ---
-
-
-def test_an_axis_beside_a_marker_is_refused():
-    marker = jc.Marker("ground", axis="x")
-    for ends in ((marker, jc.Marker("slider", axis="x")), (marker, "slider")):
-        with pytest.raises(ValueError, match="is given an axis beside it; put the axis into the"):
-            jc.Connection(jc.joint.Prismatic(), *ends, axis="y")
-    with pytest.raises(TypeError, match='Prismatic has no argument "axis"'):
-        jc.joint.Prismatic(axis="x")
 
 
 @pytest.mark.parametrize("turned", [{"axis": "x"}, {"axis": (0.0, 1.0, 1.0)}, {"axis": "-y"}])

@@ -51,55 +51,44 @@ def both(force, torque=ZERO):
     return Effect((Action(TIP, force, torque), Action(GROUND, ZERO, ZERO)), 0, 0, 0)
 
 
-EFFECTS = {
+ANSWERS = {
     "a marker that it has not": (
-        lambda t, m: Effect((Action(jc.Marker("rod"), ZERO, ZERO),), 0, 0, 0),
+        Push(lambda t, m: Effect((Action(jc.Marker("rod"), ZERO, ZERO),), 0, 0, 0)),
         'an action on a marker on "rod", of which its markers.. has none',
     ),
-    "a plane force": (lambda t, m: both((1.0, 0.0)), "force, returns 2 numbers; .*return 3: x, y"),
-    "a force": (lambda t, m: ZERO, "returns what is .*; it must be a jaxclear.load.Effect"),
+    "a plane force": (
+        Push(lambda t, m: both((1.0, 0.0))),
+        "force, returns 2 numbers; .*return 3: x, y",
+    ),
+    "a force": (Push(lambda t, m: ZERO), "returns what is .*; it must be a jaxclear.load.Effect"),
     "a tuple for an action": (
-        lambda t, m: Effect((ZERO, ZERO), 0, 0, 0),
+        Push(lambda t, m: Effect((ZERO, ZERO), 0, 0, 0)),
         "an action that is .*must be a jaxclear.load.Action",
     ),
-    "no energy": (lambda t, m: both(ZERO)._replace(stored=None), "returns no numbers"),
-    "float": (lambda t, m: both((float(t), 0.0, 0.0)), 'leaves JAX in ".*float'),
-    "a slip": (lambda t, m: m[0].position, "fails in .*AttributeError.*position"),
+    "no energy": (Push(lambda t, m: both(ZERO)._replace(stored=None)), "returns no numbers"),
+    "float": (Push(lambda t, m: both((float(t), 0.0, 0.0))), 'leaves JAX in ".*float'),
+    "a slip": (Push(lambda t, m: m[0].position), "fails in .*AttributeError.*position"),
+    "one number": (
+        Turn("pin", lambda t, q, v: -q),
+        "returns 1 number; it must return 4: generalised force",
+    ),
+    "an array": (Turn("pin", lambda t, q, v: jnp.zeros(2)), "returns 2 numbers"),
+    "float of a coordinate": (Turn("pin", lambda t, q, v: (float(q), 0, 0, 0)), "leaves JAX"),
+    "a drive's two": (
+        Motion(lambda t: (t, 1.0)),
+        "returns 2 numbers; it must return 3: position, speed",
+    ),
+    "a drive's float": (Motion(lambda t: (float(t), 1.0, 0.0)), "leaves JAX"),
 }
 
 
-@pytest.mark.parametrize("name", EFFECTS)
-def test_a_load_that_answers_something_else_is_refused_by_its_name(name):
-    told, sentence = EFFECTS[name]
-    with pytest.raises(ValueError, match=f'load "push".*{sentence}'):
-        arm(loads={"push": Push(told)})
-
-
-FORCES = {
-    "one number": (lambda t, q, v: -q, "returns 1 number; it must return 4: generalised force"),
-    "an array": (lambda t, q, v: jnp.zeros(2), "returns 2 numbers"),
-    "float": (lambda t, q, v: (float(q), 0, 0, 0), "leaves JAX"),
-}
-
-
-@pytest.mark.parametrize("name", FORCES)
-def test_a_load_on_a_coordinate_that_answers_something_else_is_refused_by_its_name(name):
-    told, sentence = FORCES[name]
-    with pytest.raises(ValueError, match=f'load "push".*{sentence}'):
-        arm(loads={"push": Turn("pin", told)})
-
-
-MOTIONS = {
-    "two numbers": (lambda t: (t, 1.0), "returns 2 numbers; it must return 3: position, speed"),
-    "float": (lambda t: (float(t), 1.0, 0.0), "leaves JAX"),
-}
-
-
-@pytest.mark.parametrize("name", MOTIONS)
-def test_a_drive_that_answers_something_else_is_refused_by_its_joint(name):
-    told, sentence = MOTIONS[name]
-    with pytest.raises(ValueError, match=f'drive of joint "pin".*{sentence}'):
-        arm(Motion(told))
+@pytest.mark.parametrize("name", ANSWERS)
+def test_a_part_that_answers_something_else_is_refused_by_its_name(name):
+    part, sentence = ANSWERS[name]
+    driven = isinstance(part, Motion)
+    place = 'drive of joint "pin"' if driven else 'load "push"'
+    with pytest.raises(ValueError, match=f"{place}.*{sentence}"):
+        arm(part) if driven else arm(loads={"push": part})
 
 
 def test_what_answers_as_it_must_is_taken():

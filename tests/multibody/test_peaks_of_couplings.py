@@ -80,7 +80,12 @@ def peak(kind, integrator, stiffness=STIFFNESS):
 
 @pytest.mark.parametrize(
     ("kind", "rung"),
-    [*(("own", rung) for rung in INTEGRATORS), ("one way", "adaptive"), ("stiff", "implicit")],
+    [
+        *(("own", rung) for rung in ("chosen", "rigid", "permanent")),
+        *(pytest.param("own", rung, marks=pytest.mark.slow) for rung in ("adaptive", "euler")),
+        ("one way", "adaptive"),
+        ("stiff", "implicit"),
+    ],
 )
 def test_a_peak_between_saving_times_is_found(kind, rung):
     # steps end within half a step of it, and of first order are off by one

@@ -126,19 +126,6 @@ def test_another_body_or_load_gives_another_mechanism():
     assert list(heavy.couplings) == list(loaded.couplings) == ["tie"]
 
 
-@pytest.mark.parametrize(
-    ("change", "sentence"),
-    [
-        (lambda: RIG.with_body("hand", BODY), 'no body "hand" in this mechanism; there are'),
-        (lambda: RIG.with_body("fore", 3.0), 'in place of "fore" is 3.0; it must be a jaxclear.Bo'),
-        (lambda: RIG.with_load("motor", 2.0), "motor"),
-    ],
-)
-def test_what_does_not_fit_is_refused_with_a_sentence(change, sentence):
-    with pytest.raises(ValueError, match=sentence):
-        change()
-
-
 def test_the_motion_follows_the_parts_that_stand_in_it():
     """A free pendulum of another mass at the tip swings as one that was built so."""
     rod = jc.Mechanism(

@@ -124,7 +124,7 @@ def test_a_sampled_servo_is_that_of_the_z_domain(delay, ki):
     np.testing.assert_allclose(np.asarray(run.coordinate("A"))[at], wanted, atol=1e-11)
 
 
-@pytest.mark.parametrize("period", [None, 0.01])
+@pytest.mark.parametrize("period", [pytest.param(None, marks=pytest.mark.slow), 0.01])
 def test_derivatives_pass_through_a_servo(period):
     def place(kp):
         servo = jc.load.Servo("A", 0.3, kp, kd=KD, period=period)
@@ -146,7 +146,7 @@ def geared(servo, torque=None, **given):
     return arm(servo, torque=torque, couplings={"gear": gear}, **given)
 
 
-@pytest.mark.parametrize("encoder", ["motor", "load", None])
+@pytest.mark.parametrize("encoder", [pytest.param("motor", marks=pytest.mark.slow), "load", None])
 def test_what_the_encoder_sees_goes_to_its_place(encoder):
     load = -12.0
     servo = jc.load.Servo("A", 0.3, 400.0, ki=900.0, kd=25.0, encoder=encoder, torque_limit=90.0)
@@ -156,47 +156,6 @@ def test_what_the_encoder_sees_goes_to_its_place(encoder):
     np.testing.assert_allclose(place - turned, load / 2e3, rtol=1e-5)
     seen = place if encoder == "load" else turned
     np.testing.assert_allclose(seen, 0.3, atol=1e-6)
-
-
-def test_behind_a_stiff_gear_it_acts_as_on_the_joint():
-    servo = jc.load.Servo("A", 0.3, KP, kd=KD)
-    motor = jc.coupling.Gear(jc.coupling.Motor(1e-5), "A", 100.0)
-    with_motor = arm(servo, couplings={"gear": motor})
-    run = jc.simulate(with_motor, 0.4, save=5, integrator=FINE)
-    alone = arm(servo).with_body("a", jc.Body(1.0, J + 0.1))
-    wanted = jc.simulate(alone, 0.4, save=5, integrator=FINE).coordinate("A")
-    np.testing.assert_allclose(run.coordinate("A"), wanted, atol=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("rig", "sentence"),
-    [
-        (
-            lambda: arm(
-                jc.load.Servo("A", 0.3, KP), joint=jc.joint.Revolute(jc.drive.ConstantPosition(0.0))
-            ),
-            "whose coordinate is driven; leave the drive out",
-        ),
-        (lambda: arm(jc.load.Servo("A", 0.3, KP, encoder="motor")), "no coupling.Motor turns"),
-        (
-            lambda: arm(jc.load.Servo("A", 0.3, KP, encoder="tacho")),
-            'no encoder of a Servo "tacho"',
-        ),
-        (lambda: arm(jc.load.Servo("A", 0.3, KP, delay=2)), "delay without a period"),
-        (lambda: arm(jc.load.Servo("A", 0.3, KP, torque_limit=0.0)), "must be above 0"),
-        (
-            lambda: jc.simulate(
-                arm(jc.load.Servo("A", 0.3, KP, period=0.01)),
-                1.0,
-                integrator=jc.integrator.FixedStep(steps_per_save=10),
-            ),
-            "give it a step in place of steps_per_save",
-        ),
-    ],
-)
-def test_what_cannot_be_is_said(rig, sentence):
-    with pytest.raises(ValueError, match=sentence):
-        rig()
 
 
 def test_slopes_behind_a_limited_integral_are_nan_and_say_why():

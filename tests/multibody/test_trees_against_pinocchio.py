@@ -1,8 +1,7 @@
 """Open trees of every ideal joint against Pinocchio (pin, an independent implementation of
 Featherstone's algorithms).
 
-Tolerance 1e-10 relative: both programs work in float64 and differ by rounding only.
-"""
+Tolerance 1e-10 relative: both programs work in float64 and differ by rounding only."""
 
 import jax
 import numpy as np
@@ -36,8 +35,7 @@ def random_rotation(rng):
 
 def random_tree(rng, size):
     """The same random tree twice: as a mechanism of ours, and as a Pinocchio model with its joint
-    ids.
-    """
+    ids."""
     model, ids, bodies, connections, kinds = pin.Model(), [], {}, {}, []
     model.gravity.linear = np.array([0.3, -9.81, 1.2])
     for i in range(size):

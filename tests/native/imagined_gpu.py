@@ -3,8 +3,7 @@ processor, and holds the kernel that they stand in for beside them, on the same 
 
 What a device alone can tell stays open (whether its driver takes the PTX, last digits of libdevice,
 speed); the thread's text, how arrays are laid out, XLA's call, the comparison before a kernel is
-used, and the sentences where something is refused are those that a device would see.
-"""
+used, and the sentences where something is refused are those that a device would see."""
 
 import ctypes
 from collections.abc import Iterator

@@ -1,6 +1,5 @@
 """What nobody asks for is not worked out: a loop drops what its results that are used do not depend
-on, and these stay what they are, whichever they are and whatever is mapped or differentiated.
-"""
+on, and these stay what they are, whichever they are and whatever is mapped or differentiated."""
 
 import itertools
 
@@ -71,8 +70,21 @@ WAYS = {
 }
 
 
-@pytest.mark.parametrize("way", WAYS)
-@pytest.mark.parametrize("function", [swung, written, called])
+FAST = {
+    (swung, "slopes in a batch"),
+    (written, "values"),
+    (written, "backwards"),
+    (called, "values"),
+}
+
+
+@pytest.mark.parametrize(
+    ("function", "way"),
+    [
+        pytest.param(*pair, marks=() if pair in FAST else pytest.mark.slow)
+        for pair in itertools.product((swung, written, called), WAYS)
+    ],
+)
 def test_every_pair_of_results_is_what_it_is_among_all(function, way):
     whole = jax.jit(lambda: WAYS[way](function))()
     paired = (lambda t: tuple(zip(*t, strict=True))) if way == "along one direction" else list

@@ -1,6 +1,5 @@
 """Backwards by columns a function has the derivative that JAX gives it, in every order of mapping
-and differentiating, for one trip through its loop; forwards it is the function itself.
-"""
+and differentiating, for one trip through its loop; forwards it is the function itself."""
 
 import jax
 import jax.numpy as jnp
@@ -36,56 +35,24 @@ def plain(p, q=SHARED):
 
 
 SOME = AT * jnp.linspace(0.9, 1.1, 3)[:, None]
-# (backwards, the same forwards)
+# By `d`, backwards by ours and forwards by JAX's own.
 WAYS = {
-    "alone": (lambda f: jax.jacrev(f)(AT), lambda f: jax.jacfwd(f)(AT)),
-    "by both": (
-        lambda f: jax.grad(lambda *a: f(*a)[2], (0, 1))(AT, SHARED),
-        lambda f: jax.jacfwd(lambda *a: f(*a)[2], (0, 1))(AT, SHARED),
-    ),
-    "in a batch": (
-        lambda f: jax.vmap(jax.jacrev(f))(SOME),
-        lambda f: jax.vmap(jax.jacfwd(f))(SOME),
-    ),
-    "of a batch, by what is its own and by what is shared": (
-        lambda f: jax.grad(lambda p, q: jnp.sum(jax.vmap(f, (0, None))(p, q) ** 2), (0, 1))(
-            SOME, SHARED
-        ),
-        lambda f: jax.jacfwd(lambda p, q: jnp.sum(jax.vmap(f, (0, None))(p, q) ** 2), (0, 1))(
-            SOME, SHARED
-        ),
-    ),
-    "of a batch of batches": (
-        lambda f: jax.jacrev(lambda p: jax.vmap(jax.vmap(f), 1)(p[:, None] * jnp.ones((2, 1))))(
-            SOME
-        ),
-        lambda f: jax.jacfwd(lambda p: jax.vmap(jax.vmap(f), 1)(p[:, None] * jnp.ones((2, 1))))(
-            SOME
-        ),
-    ),
-    "of more than fit side by side": (
-        lambda f: jax.jacrev(lambda p: by_columns(lambda n: f(n.reshape(-1, 4).sum(0)), p))(
-            jnp.linspace(0.01, 0.1, 36)
-        ),
-        lambda f: jax.jacfwd(lambda n: f(n.reshape(-1, 4).sum(0)))(jnp.linspace(0.01, 0.1, 36)),
-    ),
-    "of second order": (lambda f: jax.hessian(f)(AT), lambda f: jax.jacfwd(jax.jacfwd(f))(AT)),
-    "twice backwards": (
-        lambda f: jax.jacrev(jax.jacrev(f))(AT),
-        lambda f: jax.jacfwd(jax.jacfwd(f))(AT),
-    ),
-    "backwards of forwards": (
-        lambda f: jax.jacrev(jax.jacfwd(f))(AT),
-        lambda f: jax.jacfwd(jax.jacfwd(f))(AT),
-    ),
-    "as a linear map": (
-        lambda f: jax.vmap(jax.linearize(f, AT)[1])(jnp.eye(4)),
-        lambda f: jax.jacfwd(f)(AT).T,
-    ),
-    "forwards, of a batch": (
-        lambda f: jax.jacfwd(lambda c: jax.vmap(f)(SOME * c))(1.0),
-        lambda f: jax.jacfwd(lambda c: jax.vmap(f)(SOME * c))(1.0),
-    ),
+    "alone": lambda f, d: d(f)(AT),
+    "by both": lambda f, d: d(lambda *a: f(*a)[2], (0, 1))(AT, SHARED),
+    "in a batch": lambda f, d: jax.vmap(d(f))(SOME),
+    "of a batch, by what is its own and by what is shared": lambda f, d: d(
+        lambda p, q: jnp.sum(jax.vmap(f, (0, None))(p, q) ** 2), (0, 1)
+    )(SOME, SHARED),
+    "of a batch of batches": lambda f, d: d(
+        lambda p: jax.vmap(jax.vmap(f), 1)(p[:, None] * jnp.ones((2, 1)))
+    )(SOME),
+    "of more than fit side by side": lambda f, d: d(
+        lambda p: by_columns(lambda n: f(n.reshape(-1, 4).sum(0)), p)
+    )(jnp.linspace(0.01, 0.1, 36)),
+    "of second order": lambda f, d: jax.jacfwd(d(f))(AT),
+    "twice backwards": lambda f, d: d(d(f))(AT),
+    "backwards of forwards": lambda f, d: d(jax.jacfwd(f))(AT),
+    "forwards, of a batch": lambda f, d: jax.jacfwd(lambda c: jax.vmap(f)(SOME * c))(1.0),
 }
 QUICK = ("of a batch, by what is its own and by what is shared", "by both")
 
@@ -94,12 +61,17 @@ QUICK = ("of a batch, by what is its own and by what is shared", "by both")
     "way", [pytest.param(w, marks=[pytest.mark.slow] * (w not in QUICK)) for w in WAYS]
 )
 def test_derivatives_are_those_of_jaxs_own_loop_forwards(way):
-    backwards, forwards = WAYS[way]
-    found = jax.jit(lambda: backwards(ours))()
-    wanted = jax.jit(lambda: forwards(plain))()
+    found = jax.jit(lambda: WAYS[way](ours, jax.jacrev))()
+    wanted = jax.jit(lambda: WAYS[way](plain, jax.jacfwd))()
     for one, other in zip(jax.tree.leaves(found), jax.tree.leaves(wanted), strict=True):
         assert one.shape == other.shape
         np.testing.assert_allclose(one, other, rtol=ROUNDING, atol=ROUNDING)
+
+
+@pytest.mark.slow
+def test_its_linear_map_is_its_derivative():
+    columns = jax.jit(lambda: jax.vmap(jax.linearize(ours, AT)[1])(jnp.eye(4)))()
+    np.testing.assert_allclose(columns, jax.jacfwd(plain)(AT).T, rtol=ROUNDING, atol=ROUNDING)
 
 
 def test_what_is_no_number_and_what_is_known_come_back_as_they_are():

@@ -3,8 +3,7 @@ installed, with the lowest that is allowed and with the newest.
 
 One primitive without a rule, and a run takes ten times as long without a word: the derivative of
 `stack` became such a one with a new jax. In the quick test kernels are written as text alone,
-neither compiled nor run but for one; the slow one compiles, checks and runs them.
-"""
+neither compiled nor run but for one; the slow one compiles, checks and runs them."""
 
 import os
 import re
@@ -148,23 +147,7 @@ def test_with_every_jax_that_is_allowed(newest, tmp_path):
         "PYTHONPATH": os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")]),
     }
     tests = [__file__, os.path.join(os.path.dirname(__file__), "test_rules.py")]
-    done = subprocess.run(
-        [
-            sys.executable,
-            "-m",
-            "pytest",
-            "-n",
-            "0",
-            "-q",
-            "-k",
-            "written or rule",
-            "-m",
-            "",
-            *tests,
-        ],
-        env=environment,
-        capture_output=True,
-        text=True,
-        timeout=1200,
-    )
+    command = [sys.executable, "-m", "pytest", "-n", "0", "-q", "-k", "written or rule", "-m", ""]
+    how = {"env": environment, "capture_output": True, "text": True, "timeout": 1200}
+    done = subprocess.run([*command, *tests], **how)
     assert done.returncode == 0, done.stdout[-3000:]

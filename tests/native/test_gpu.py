@@ -1,7 +1,6 @@
 """Kernels on a GPU, as far as none is needed: each thread's text gives the bits of the processor's
 kernel, the whole way from a program of JAX to the launch, by an imagined device; NVIDIA's assembler
-takes the PTX, where it is installed; and what is refused is said.
-"""
+takes the PTX, where it is installed; and what is refused is said."""
 
 import ctypes
 import functools

@@ -1,6 +1,5 @@
 """Long arrays of a loop's state stand in memory, where a turn reads and changes them: values and
-derivatives are those of JAX's own loops, and what cannot be told by it is left to XLA.
-"""
+derivatives are those of JAX's own loops, and what cannot be told by it is left to XLA."""
 
 import jax
 import jax.numpy as jnp

@@ -1,7 +1,6 @@
 """A function over rows is what `jax.vmap` makes of it, however many rows, however long the
 function, with its derivatives, with and without a kernel; samples that are gone through one after
-the other are what they are side by side, and each takes only the branch that it chooses.
-"""
+the other are what they are side by side, and each takes only the branch that it chooses."""
 
 import jax
 import jax.numpy as jnp

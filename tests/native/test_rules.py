@@ -3,8 +3,7 @@
 The cases of several rules stand in one loop of one turn, so that one kernel serves a single sample
 and one serves a batch, several lanes side by side. Numbers are arguments, so that nothing is known
 while the kernel is written; a third kernel has them as constants, which takes the rules' other
-branch.
-"""
+branch."""
 
 import functools
 

@@ -1,6 +1,5 @@
 """A scan with loops in its turns is one kernel, which writes itself what the turns leave; its
-values and derivatives are those of JAX's own scan.
-"""
+values and derivatives are those of JAX's own scan."""
 
 import threading
 import time

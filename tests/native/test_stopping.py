@@ -1,6 +1,5 @@
 """Ctrl-C is answered within a second and leaves the machine idle; nothing that was stopped looks
-like an answer.
-"""
+like an answer."""
 
 import os
 import signal

@@ -84,8 +84,7 @@ def test_a_run_tells_in_its_stats(monkeypatch):
 )
 def test_a_disagreement_that_does_not_recur_is_rounding(refused, factor, monkeypatch):
     """One draw in some thirty falls on a knife-edge between zero and rounding (seen in the four-bar
-    with captured impacts); a fault shows in the draws after it too.
-    """
+    with captured impacts); a fault shows in the draws after it too."""
     compared, nothing = check.compared, (check.Judgement(False, False), False)
     monkeypatch.setenv("JAXCLEAR_CHECK_KERNELS", "1")
     monkeypatch.setattr(

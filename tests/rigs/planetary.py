@@ -1,5 +1,7 @@
 """A planetary set in the plane: sun, ring and carrier on the ground, one planet on the carrier."""
 
+import numpy as np
+
 import jaxclear as jc
 
 SUN, PLANET = 0.03, 0.015
@@ -24,3 +26,17 @@ def planetary(couplings: dict) -> jc.Mechanism:
         {"m": jc.load.JointTorque("S", 1.0), "l": jc.load.JointTorque("C", -0.5)},
         couplings=couplings,
     )
+
+
+def planetary_accelerations() -> np.ndarray:
+    """Of sun and carrier [rad/s^2] in closed form, by the kinetic energy of the two freedoms."""
+
+    def energy(s, c):
+        p = -SUN / PLANET * (s - c)
+        b = c + PLANET / RING * p
+        turned = 1e-4 * s**2 + 4e-4 * b**2 + 3e-4 * c**2
+        return 0.5 * (turned + 0.1 * (SUN + PLANET) ** 2 * c**2 + 2e-5 * (c + p) ** 2)
+
+    mixed = energy(1, 1) - energy(1, 0) - energy(0, 1)
+    matrix = np.array([[2 * energy(1, 0), mixed], [mixed, 2 * energy(0, 1)]])
+    return np.linalg.solve(matrix, [1.0, -0.5])

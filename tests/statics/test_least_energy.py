@@ -1,6 +1,5 @@
 """Positions of mechanisms that their loops do not determine: springs, freedoms that are left, play
-in angle, journals that share a load; against closed forms, scipy and the search by loops.
-"""
+in angle, journals that share a load; against closed forms, scipy and the search by loops."""
 
 import equinox as eqx
 import jax
@@ -87,6 +86,7 @@ def test_springs_of_horns_add_to_the_play(sprung):
     assert float(sprung.coordinate("B0")[0]) == pytest.approx(ANGLE, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_two_horns_share_the_load():
     """Their rests apart by less than the play: first one carries, then both."""
     apart = 0.4 * ANGLE

@@ -81,16 +81,9 @@ def test_a_journal_in_a_worn_hole_is_seated_on_its_wall():
 
 def test_a_mechanism_without_play_is_seated_as_it_starts():
     rig = slider_crank()
-    ideal = jc.Mechanism(
-        rig.bodies,
-        rig.connections | {"A": jc.Connection(jc.joint.Revolute(), *_ends(rig, "A"))},
-        rig.loads,
-    )
-    assert jc.resting_state(ideal).motion is None
-
-
-def _ends(rig, name):
-    return rig.connections[name].parent, rig.connections[name].child
+    ends = rig.connections["A"].parent, rig.connections["A"].child
+    ideal = rig.connections | {"A": jc.Connection(jc.joint.Revolute(), *ends)}
+    assert jc.resting_state(jc.Mechanism(rig.bodies, ideal, rig.loads)).motion is None
 
 
 @pytest.mark.slow

@@ -1,6 +1,8 @@
 """A sample's values are those of its number, whatever part of a study is drawn, and however large
-the study is.
-"""
+the study is."""
+
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -8,6 +10,7 @@ from scipy.stats import norm, qmc
 
 import jaxclear as jc
 from jaxclear.studies.sampling import BLOCK, draw, groups
+from jaxclear.studies.scrambling import ScrambledSequence
 
 MANY = 4 * BLOCK
 NORMAL = jc.FunctionProblem(
@@ -41,6 +44,28 @@ def test_scramblings_of_sobols_sequence_take_turns():
         points = qmc.Sobol(2, rng=rng).random_base2(6)
         own = shares[groups(250, 4) == i]
         np.testing.assert_allclose(own, points[: len(own)], rtol=1e-9)
+
+
+def test_points_are_scipys_bit_for_bit():
+    for dimensions, seed in ((1, 0), (5, 3), (40, 1)):
+        points = qmc.Sobol(dimensions, rng=np.random.default_rng(seed)).random_base2(10)
+        own = ScrambledSequence(dimensions, np.random.default_rng(seed))
+        assert np.array_equal(own.points(0, 1024), points)
+        assert np.array_equal(own.points(300, 701), points[300:701])
+
+
+def test_a_sample_and_its_derivatives_import_no_scipy_stats():
+    """Its import takes longer than a small study."""
+    program = """
+import sys
+import jaxclear as jc
+one = jc.FunctionProblem(lambda a: a * a, {"a": jc.Dimension(1.0, jc.distribution.Normal(0.1))})
+sample = jc.monte_carlo(one, 128)
+str(sample.summary()), str(sample)
+jc.sensitivity(one, "a", sample=sample)
+assert "scipy.stats" not in sys.modules
+"""
+    subprocess.run([sys.executable, "-c", program], check=True, timeout=300)
 
 
 def test_many_samples_are_drawn_by_their_numbers_too():

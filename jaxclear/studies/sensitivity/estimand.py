@@ -25,6 +25,7 @@ from jaxclear.ground.wording import described, listed
 from jaxclear.native.compiled import compiled_quickly
 from jaxclear.studies.infinite_responses import INSTEAD, check_within_horizon, replace_infinite
 from jaxclear.studies.problem import Problem
+from jaxclear.studies.scrambling import normal_density
 from jaxclear.studies.statistics.scrambled import ordinary_quantile, smooth_quantile
 
 # The slope of a quantile by the score of its share is taken over +- this many scores: wide enough
@@ -79,7 +80,7 @@ class Functional(NamedTuple):
             return float(responses.std(ddof=1))
         if self.kind == "quantile":
             return smooth_quantile(responses, self.number)
-        return float(np.mean(self._beyond(responses)))
+        return float(np.mean(self._which_beyond(responses)))
 
     @property
     def smooth(self) -> bool:
@@ -89,15 +90,15 @@ class Functional(NamedTuple):
     def deciding(self, *rows: np.ndarray) -> float:
         """How many samples decide it, of rows of responses (samples,) in the mean: those beyond a
         quantile or a limit, or all."""
-        return float(np.mean([self._deciding(row) for row in rows]))
+        return float(np.mean([self._deciding_count(row) for row in rows]))
 
-    def _deciding(self, responses: np.ndarray) -> float:
+    def _deciding_count(self, responses: np.ndarray) -> float:
         count = len(responses)
         if self.kind == "quantile":
             return count * min(self.number, 1.0 - self.number)
         if self.kind not in KINDS:
             return float(count)
-        beyond = int(np.sum(self._beyond(responses)))
+        beyond = int(np.sum(self._which_beyond(responses)))
         return float(min(beyond, count - beyond))
 
     def undecided(self, *rows: np.ndarray, by: str) -> str:
@@ -132,8 +133,8 @@ class Functional(NamedTuple):
 
     def _around(self) -> np.ndarray:
         """Shares (2,) [1] a little aside of that of the quantile."""
-        score = scipy.stats.norm.ppf(self.number)
-        return scipy.stats.norm.cdf([score - SCORES_ASIDE, score + SCORES_ASIDE])
+        score = scipy.special.ndtri(self.number)
+        return scipy.special.ndtr([score - SCORES_ASIDE, score + SCORES_ASIDE])
 
     def place(self, sample: np.ndarray) -> float | None:
         """The value at which parts are told apart; None where none is."""
@@ -147,7 +148,7 @@ class Functional(NamedTuple):
         if self.kind != "quantile":
             return 0.0
         low, high = self._around()
-        return float(scipy.stats.norm.ppf(0.975) / np.sqrt(max(len(sample) * (high - low), 1.0)))
+        return float(scipy.special.ndtri(0.975) / np.sqrt(max(len(sample) * (high - low), 1.0)))
 
     def influence(self, sample: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
         """The function of responses whose mean has the statistic's derivative, as a sample
@@ -158,15 +159,15 @@ class Functional(NamedTuple):
             mean, spread = sample.mean(), sample.std(ddof=1)
             return lambda y: (y - mean) ** 2 / (2.0 * spread) if spread > 0 else 0.0 * y
         if self.kind == "quantile":
-            score = scipy.stats.norm.ppf(self.number)
+            score = scipy.special.ndtri(self.number)
             low, high = np.quantile(sample, self._around())
             # Among samples of one value it moves by none.
             if not high > low:
                 return lambda y: 0.0 * y
-            density = 2 * SCORES_ASIDE * scipy.stats.norm.pdf(score) / (high - low)
+            density = 2 * SCORES_ASIDE * normal_density(score) / (high - low)
             place = np.quantile(sample, self.number)
             return lambda y: (y <= place) / -density
-        return lambda y: self._beyond(y).astype(float)
+        return lambda y: self._which_beyond(y).astype(float)
 
     def size(self, sample: np.ndarray, step: float) -> Size:
         """How large its derivative may be, from a sample (samples,) of the response and the step of
@@ -188,7 +189,7 @@ class Functional(NamedTuple):
             return (responses - responses.mean()) / responses.std(ddof=1) * tangents
         return None
 
-    def _beyond(self, responses):
+    def _which_beyond(self, responses):
         return responses > self.number if self.kind == "above" else responses < self.number
 
 
@@ -199,14 +200,14 @@ def functionals(of: Any, problem: Problem) -> list[Functional]:
         of = dict.fromkeys(problem.response_names, of)
     for name in of:
         check_name("response", name, problem.response_names, " in this problem")
-    result = [_functional(name, one) for name, kinds in of.items() for one in _several(kinds)]
+    result = [_make_functional(name, one) for name, kinds in of.items() for one in _as_list(kinds)]
     for one in result:
         if one.kind in ("above", "below"):
             check_within_horizon(problem, one.response, one.number)
     return result
 
 
-def _several(value: Any) -> list:
+def _as_list(value: Any) -> list:
     pair = isinstance(value, tuple) and len(value) == 2 and value[0] in KINDS
     if isinstance(value, str) or pair:
         return [value]
@@ -216,7 +217,7 @@ def _several(value: Any) -> list:
     return list(value)
 
 
-def _functional(response: str, value: Any) -> Functional:
+def _make_functional(response: str, value: Any) -> Functional:
     if isinstance(value, str) and value not in KINDS:
         check_name("statistic of sensitivity", value, WORDS)
         return Functional(response, value)
@@ -285,16 +286,21 @@ def _speed(distribution, number):
 
 
 @compiled_quickly
-def _weights(distribution, number, scores, leaning):
+def _score_weights(distribution, number, scores, leaning):
     speed, rate = jax.jvp(_speed(distribution, number), (scores,), (jnp.ones_like(scores),))
     return speed * leaning - rate
 
 
 def weights(problem: Problem, direction: Direction, normal: np.ndarray) -> np.ndarray:
-    """Score function of the sample's distribution, (samples,) [1/unit]: the derivative of a mean is
-    the mean of the response times this, and what its ends add.
+    """Score function of the sample's distribution, shape (samples,) [1/unit].
 
-    `normal` (samples, variables): the independent standard normal numbers of the sample.
+    The derivative of a mean is the mean of the response times this, plus what the ends of the
+    distribution add.
+
+    Args:
+        problem: with the joint distribution.
+        direction: variable and number that is differentiated by.
+        normal: independent standard normal numbers of the sample, shape (samples, variables).
     """
     inputs, i = problem.inputs, direction.variable
     scores, leaning = normal[:, i], normal[:, i]
@@ -303,4 +309,4 @@ def weights(problem: Problem, direction: Direction, normal: np.ndarray) -> np.nd
         # The i-th component of correlation^-1 scores.
         leaning = normal @ np.asarray(inputs.inverse_root)[:, i]
     law = inputs.distributions[i]
-    return np.asarray(_weights(law, direction.number, scores, leaning))
+    return np.asarray(_score_weights(law, direction.number, scores, leaning))
