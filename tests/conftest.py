@@ -2,8 +2,7 @@
 otherwise, and compiled programs do not pile up. Most of a test is compiling, so what XLA compiles
 is optimised little (a third of the suite), kernels not at all (a seventh; as users' are where a
 test says so), and Python looks for cycles of garbage rarely (a twentieth). Flags of XLA that a user
-sets go before.
-"""
+sets go before."""
 
 import gc
 import os

@@ -1,6 +1,5 @@
 """The rules of the house that a program can read: who imports whom, what may be subclassed, who may
-ask what of whom, how long things may be. Each rule lists all that is against it.
-"""
+ask what of whom, how long things may be. Each rule lists all that is against it."""
 
 import ast
 import functools
@@ -315,8 +314,7 @@ def members(room_name):
 
 def test_members_of_a_family_are_not_told_apart_elsewhere():
     """What a formulation wants of a law or a joint is a method of its family: a new member is one
-    file.
-    """
+    file."""
 
     def rule(path):
         foreign = {"laws", "components"} - {room(module_name(path))}

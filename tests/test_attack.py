@@ -1,6 +1,5 @@
 """The attack on the engine's own judgement: that it draws every law, tells a wrong number from a
-right one, and that a few of its cases are clean.
-"""
+right one, and that a few of its cases are clean."""
 
 from types import SimpleNamespace
 

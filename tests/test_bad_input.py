@@ -1,6 +1,5 @@
 """Bad input is answered with a sentence: every argument of every class with wrong kinds and wrong
-ranges, misspelt names, the mistakes of newcomers, and every argument of public functions.
-"""
+ranges, misspelt names, the mistakes of newcomers, and every argument of public functions."""
 
 import pytest
 

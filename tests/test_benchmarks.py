@@ -1,6 +1,5 @@
 """The benchmarks' own claims that a test can hold: size of the traced programs, nothing left of
-what is absent, agreement.
-"""
+what is absent, agreement."""
 
 import importlib.util
 import json
@@ -31,8 +30,7 @@ def test_an_order_is_told_where_three_numbers_show_it():
 @pytest.mark.slow
 def test_programs_stay_within_their_budget():
     """Sizes are exact. Compile times are measured beside a reference, but a busy machine can spoil
-    one: three in a row count.
-    """
+    one: three in a row count."""
     over = equations.over_budget(equations.variant_rows())
     assert not [sentence for sentence in over if "equations" in sentence]
     stubborn = {sentence.split(" is ")[0] for sentence in over}
@@ -51,8 +49,7 @@ def test_an_absent_feature_leaves_no_equation():
 
 def test_friction_and_wear_leave_none_of_their_operations():
     """Three-zone friction has one sine and one cosine at each of two ends; only a worn surface asks
-    for an angle.
-    """
+    for an angle."""
     bare, rough, worn = (
         equations.rate_primitives(scenes.build(scenes.Variant("spatial", friction, wear)))
         for friction, wear in ((False, False), (True, False), (False, True))

@@ -1,6 +1,5 @@
 """What is counted in the book (`benchmarks.claims.book`) keeps within its limits, and its tables of
-a family list every member.
-"""
+a family list every member."""
 
 import importlib
 import inspect
@@ -36,8 +35,7 @@ ROW = re.compile(r"^\| *(.*?) *\|$", re.MULTILINE)
 
 def members(family):
     """Names that a user may put in the place of one another; laws that are products are
-    functions.
-    """
+    functions."""
     module = importlib.import_module(f"jaxclear.{family}")
     found = set()
     for name in module.__all__:

@@ -1,6 +1,5 @@
 """What is shown of an answer: whole in a terminal of 80 columns, in a notebook as HTML, numbers
-with their units. Every class of answers is looked at.
-"""
+with their units. Every class of answers is looked at."""
 
 import functools
 import math
@@ -170,15 +169,8 @@ WITHOUT = ("stats", "complementarity", "extreme", "points", "estimates", "deriva
 WITHOUT = (*WITHOUT, "reliability")
 # Others hold what takes long to find; their words are sentences, their tables those of `as_table`.
 SENTENCES = {
-    "Advice",
-    "Failed",
-    "Fmu",
-    "Largest",
-    "PointingError",
-    "SteadyCycle",
-    "Unverified",
-    "WearLife",
-    "WearLifeSample",
+    *("Advice", "Failed", "Fmu", "Largest", "PointingError", "SteadyCycle", "Unverified"),
+    *("WearLife", "WearLifeSample"),
 }
 
 

@@ -1,6 +1,5 @@
 """The public surface is pinned: every public name with its signature, in
-refdata/public_surface.json. `python -m tests.test_public_surface` writes that file anew.
-"""
+refdata/public_surface.json. `python -m tests.test_public_surface` writes that file anew."""
 
 import dataclasses
 import enum
@@ -111,27 +110,10 @@ def test_public_module_says_what_it_offers(place):
 # A joint with wear, a product of laws, a scene, a mechanism and a solver on groups build these
 # themselves.
 INNER = {
-    "AbstractFreeVariable",
-    "AbstractLaw",
-    "AbstractLean",
-    "AbstractLikeIdeal",
-    "AbstractPlaceZone",
-    "AbstractRound",
-    "AbstractSurface",
-    "AbstractThreshold",
-    "AreaMap",
-    "AsNeeded",
-    "CylinderMap",
-    "FitSizes",
-    "ImpactMemory",
-    "JournalFilm",
-    "MobileJournal",
-    "_ServoOnMotor",
-    "PeriodicTorque",
-    "SphereMap",
-    "StepTorque",
-    "WallMap",
-    "ZoneVariable",
+    *("AbstractFreeVariable", "AbstractLaw", "AbstractLean", "AbstractLikeIdeal", "AreaMap"),
+    *("AbstractPlaceZone", "AbstractRound", "AbstractSurface", "AbstractThreshold", "AsNeeded"),
+    *("CylinderMap", "FitSizes", "ImpactMemory", "JournalFilm", "MobileJournal", "SphereMap"),
+    *("PeriodicTorque", "StepTorque", "WallMap", "ZoneVariable", "_ServoOnMotor"),
 }
 # A folder of samples remembers its problem by one.
 INNER |= {"RecordedExperiment", "RecordedVariable", "StateGroup"}

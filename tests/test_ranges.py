@@ -1,6 +1,5 @@
 """Every class with numbers refuses one outside its range when it is built; a new class is covered
-the moment it is defined.
-"""
+the moment it is defined."""
 
 import dataclasses
 import inspect

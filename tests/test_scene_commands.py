@@ -1,6 +1,5 @@
 """The command line on a scene file: run, sample, report. What is wrong with a file is answered with
-a sentence and exit code 2; what simulates shares one short scene.
-"""
+a sentence and exit code 2; what simulates shares one short scene."""
 
 import dataclasses
 import json
@@ -63,44 +62,29 @@ def here(tmp_path, monkeypatch, keep_settings):
     return tmp_path
 
 
+IDENTIFY = ["identify", "scene.yaml", "records/run.csv", "--signal"]
 MISTAKES = {
-    "no scene": (["run"], r"SCENE is missing; it must be named \(file\)"),
-    "another name": (["run", "scen.yaml"], 'no file scen.yaml. Did you mean "scene.yaml"'),
-    "a folder": (["monte-carlo", "."], r"\. is a folder; it must be a file"),
-    "no scene in it": (["run", "empty.yaml"], "empty.yaml: .*jaxclear_scene: 1"),
-    "nothing that varies": (["monte-carlo", "fixed.yaml"], "this scene states no variables"),
-    "no duration": (["run", "endless.yaml"], "this scene states no duration"),
-    "no such joint": (["run", "other.yaml"], 'no joint "pni" in this .*; there is "pin". Did you'),
-    "a unit": (["run", "unit.yaml"], "clearance: is '0.2 mm'; it must be one number .m.."),
-    "positions and a duration": (
-        ["run", "positions.yaml", "--duration", "1"],
-        'given positions and "duration"',
-    ),
-    "half a sample": (["monte-carlo", "scene.yaml", "--samples", "1.5"], "whole number of at le"),
-    "no store": (["report", "nowhere"], "nowhere is not there; it must be a folder"),
-    "an empty folder": (["report", "."], "holds neither a campaign nor figures or tables"),
-    "no such example": (["example", "slider-crnk"], 'Did you mean "slider-crank"'),
-    "no folder for the page": (
-        ["report", ".", "--to", "no/a.html"],
-        "in a folder that is there",
-    ),
-    "no record": (["identify", "scene.yaml", "--signal", "a=accelerometer:rod"], "RECORD is miss"),
-    "no such sensor": (
-        ["identify", "scene.yaml", "records/run.csv", "--signal", "a=acelerometer:rod"],
-        'no sensor "acelerometer".*Did you mean "accelerometer"',
-    ),
-    "no place of a sensor": (
-        ["identify", "scene.yaml", "records/run.csv", "--signal", "a=encoder"],
-        "must say where its sensor is",
-    ),
-    "no number of a sensor": (
-        ["identify", "scene.yaml", "records/run.csv", "--signal", "a=accelerometer:rod:x:noise=no"],
-        'noise of signal "a" is "no"; it must be one number',
-    ),
-    "no such column": (
-        ["identify", "scene.yaml", "records/run.csv", "--signal", "b=accelerometer:rod:x"],
-        'no column "b"',
-    ),
+    r"SCENE is missing; it must be named \(file\)": ["run"],
+    'no file scen.yaml. Did you mean "scene.yaml"': ["run", "scen.yaml"],
+    r"\. is a folder; it must be a file": ["monte-carlo", "."],
+    "empty.yaml: .*jaxclear_scene: 1": ["run", "empty.yaml"],
+    "this scene states no variables": ["monte-carlo", "fixed.yaml"],
+    "this scene states no duration": ["run", "endless.yaml"],
+    'no joint "pni" in this .*; there is "pin". Did you': ["run", "other.yaml"],
+    "clearance: is '0.2 mm'; it must be one number .m..": ["run", "unit.yaml"],
+    'given positions and "duration"': ["run", "positions.yaml", "--duration", "1"],
+    "whole number of at le": ["monte-carlo", "scene.yaml", "--samples", "1.5"],
+    "nowhere is not there; it must be a folder": ["report", "nowhere"],
+    "holds neither a campaign nor figures or tables": ["report", "."],
+    'Did you mean "slider-crank"': ["example", "slider-crnk"],
+    "in a folder that is there": ["report", ".", "--to", "no/a.html"],
+    "RECORD is miss": ["identify", "scene.yaml", "--signal", "a=accelerometer:rod"],
+    'no sensor "acelerometer".*Did you mean "accelerometer"': [*IDENTIFY, "a=acelerometer:rod"],
+    "must say where its sensor is": [*IDENTIFY, "a=encoder"],
+    'noise of signal "a" is "no"; it must be one number': [
+        *(*IDENTIFY, "a=accelerometer:rod:x:noise=no"),
+    ],
+    'no column "b"': [*IDENTIFY, "b=accelerometer:rod:x"],
 }
 
 
@@ -119,23 +103,33 @@ def test_positions_are_kept_and_reported(here, capsys):
     assert "Positions of standing.yaml" in page and "pin.offset" in page
 
 
-@pytest.mark.parametrize("mistake", MISTAKES)
-def test_a_mistake_with_a_file_ends_in_a_sentence(mistake, here, capsys):
-    (here / "empty.yaml").write_text("mechanism: {}\n")
-    jc.write_scene(pendulum(variables={}), here / "fixed.yaml")
-    jc.write_scene(pendulum(duration=None), here / "endless.yaml")
-    text = (here / "scene.yaml").read_text()
-    (here / "other.yaml").write_text(text.replace("joint: pin", "joint: pni"))
-    (here / "unit.yaml").write_text(text.replace("clearance: 0.0002", "clearance: 0.2 mm"))
-    jc.write_scene(standing(), here / "positions.yaml")
-    (here / "records").mkdir()
-    (here / "records" / "run.csv").write_text("time,a\n0,0\n0.01,1\n0.02,0\n")
-    given, sentence = MISTAKES[mistake]
+@pytest.fixture(scope="module")
+def wrong_files(tmp_path_factory):
+    """A folder of scenes of which each lacks something."""
+    folder = tmp_path_factory.mktemp("files")
+    jc.write_scene(pendulum(), folder / "scene.yaml")
+    jc.write_scene(pendulum(variables={}), folder / "fixed.yaml")
+    jc.write_scene(pendulum(duration=None), folder / "endless.yaml")
+    jc.write_scene(standing(), folder / "positions.yaml")
+    text = (folder / "scene.yaml").read_text()
+    (folder / "empty.yaml").write_text("mechanism: {}\n")
+    (folder / "other.yaml").write_text(text.replace("joint: pin", "joint: pni"))
+    (folder / "unit.yaml").write_text(text.replace("clearance: 0.0002", "clearance: 0.2 mm"))
+    (folder / "records").mkdir()
+    (folder / "records" / "run.csv").write_text("time,a\n0,0\n0.01,1\n0.02,0\n")
+    return folder
+
+
+@pytest.mark.parametrize("sentence", MISTAKES)
+def test_a_mistake_with_a_file_ends_in_a_sentence(
+    sentence, wrong_files, monkeypatch, capsys, keep_settings
+):
+    monkeypatch.chdir(wrong_files)
     with pytest.raises(SystemExit) as ended:
-        main(given)
+        main(MISTAKES[sentence])
     said = capsys.readouterr().err
     assert ended.value.code == 2 and re.search(sentence, said), said
-    assert said.count("\n") == 1 and said.startswith(f"jaxclear {given[0]}: ")
+    assert said.count("\n") == 1 and said.startswith(f"jaxclear {MISTAKES[sentence][0]}: ")
 
 
 @pytest.mark.slow
@@ -325,15 +319,14 @@ def test_the_yield_of_a_drawing_is_printed_and_kept(here, capsys):
     assert kept == sorted(["drawing.csv", "shares.csv", *figures])
 
 
-YIELDS = {
-    "no drawing": (["--limit", "mean force: 3"], "states no drawing"),
-    "no number": (["--limit", "error"], "write a response and its largest value"),
-}
-
-
-@pytest.mark.parametrize("name", YIELDS)
-def test_a_yield_that_cannot_be_told_gets_a_sentence(name, here, capsys):
-    options, sentence = YIELDS[name]
+@pytest.mark.parametrize(
+    ("limit", "sentence"),
+    [
+        ("mean force: 3", "states no drawing"),
+        ("error", "write a response and its largest value"),
+    ],
+)
+def test_a_yield_that_cannot_be_told_gets_a_sentence(limit, sentence, here, capsys):
     with pytest.raises(SystemExit) as end:
-        main(["yield", "scene.yaml", *options, "--quiet"])
+        main(["yield", "scene.yaml", "--limit", limit, "--quiet"])
     assert end.value.code != 0 and re.search(sentence, capsys.readouterr().err)

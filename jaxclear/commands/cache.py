@@ -13,7 +13,7 @@ WORDS = {cache_folder.KERNEL: "kernels of time loops", cache_folder.PROGRAM: "pr
 
 def cache(clear: bool = False) -> None:
     """Lists the compiled programs that are kept, or removes them all (`clear`)."""
-    folder = cache_folder.place()
+    folder = cache_folder.folder_path()
     if folder is None:
         click.echo(f"Nothing is kept: {cache_folder.VARIABLE} is off.")
         return

@@ -49,7 +49,7 @@ def answer(name: str, options: dict[str, Any]) -> None:
 def _keep_compiled_programs() -> None:
     """JAX keeps the programs of a command, too: those of its own functions, which no other process
     of this package's would find. In $JAX_COMPILATION_CACHE_DIR, or beside the others."""
-    folder = os.environ.get("JAX_COMPILATION_CACHE_DIR") or cache_folder.of_jax()
+    folder = os.environ.get("JAX_COMPILATION_CACHE_DIR") or cache_folder.jax_folder()
     if folder is not None:
         jax.config.update("jax_compilation_cache_dir", str(folder))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", WORTH_KEEPING)

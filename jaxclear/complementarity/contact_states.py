@@ -69,7 +69,7 @@ def scaled_contacts(problem: FrictionContact) -> Scaled:
     return Scaled(blocks, problem.split(free), blocks_of_contacts, problem.mu, rho, weight, size)
 
 
-def linearised(
+def linearise_laws(
     problem: Scaled, r: tuple, margin: Any, regular: float
 ) -> tuple[list[LinearisedLaw], list[Array]]:
     """The contact laws linearised about a solution, and the Jacobian of their residual by r.
@@ -157,7 +157,7 @@ def _moved(
     flat = jnp.concatenate(blocks)
     s = [scaled.rho[i] * scaled.velocity(i, flat) for i in range(len(sizes))]
     largest = jnp.maximum(jnp.max(jnp.abs(flat)), jnp.max(jnp.abs(jnp.concatenate(s))))
-    laws, lines = linearised(scaled, blocks, CORNER * jax.lax.stop_gradient(largest), regular)
+    laws, lines = linearise_laws(scaled, blocks, CORNER * jax.lax.stop_gradient(largest), regular)
     drifts = problem.split(tangents[0] / scaled.size)
     change = [
         law.of_s @ (scaled.rho[i] * drifts[i]) + law.of_mu * tangents[1][i]

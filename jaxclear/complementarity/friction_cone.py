@@ -54,10 +54,8 @@ def one_contact(
 
     It exists for every positive definite `block`, and is exact up to condition numbers of some 1e8.
     Sliding with v_t = -alpha r_t makes r the solution of (block + alpha on the tangents) r = -free:
-    stick
-    at alpha = 0; otherwise mu r_n / \|r_t\| - 1, nearly linear in alpha, has a root, which Newton's
-    method
-    finds between bounds.
+    stick at alpha = 0; otherwise mu r_n / \|r_t\| - 1, nearly linear in alpha, has a root, which
+    Newton's method finds between bounds.
 
     Args:
         block: of Delassus' operator at this contact, normal first.
@@ -137,7 +135,7 @@ def alart_curnier(
         r: reaction of a contact, normal first.
         s: rho times its velocity, in the unit of r.
         mu: friction coefficient [1].
-            margin: within which a contact that just touches without force counts as open, and one
+        margin: within which a contact that just touches without force counts as open, and one
             on the
             edge of its cone without slip as sticking [unit of r].
     """

@@ -20,7 +20,7 @@ from jaxclear.complementarity.problem import (
     AbstractSolver,
     Outcome,
     Solution,
-    posed,
+    as_linear_problem,
 )
 from jaxclear.ground.numerics import OFF_THE_TIES
 from jaxclear.ground.precision import check_double_precision
@@ -49,7 +49,7 @@ def _power_of_two(x: Float[Array, "..."]) -> Float[Array, "..."]:
     return jnp.ldexp(jnp.ones_like(x), exponent)
 
 
-def scaled(problem: LCP) -> Scaled:
+def scale_problem(problem: LCP) -> Scaled:
     """The problem in units of its own, without derivatives."""
     matrix, offset = jax.lax.stop_gradient((problem.matrix, problem.offset))
     finite = jnp.all(jnp.isfinite(matrix)) & jnp.all(jnp.isfinite(offset))
@@ -105,8 +105,8 @@ class InteriorPoint(AbstractSolver):
 
     def solve(self, problem: AbstractLinearProblem) -> Solution:
         check_double_precision()
-        lcp = posed(problem)
-        small = scaled(lcp)
+        lcp = as_linear_problem(problem)
+        small = scale_problem(lcp)
         kappa = jax.lax.stop_gradient(self.kappa) / (small.z_scale * small.w_scale)
         finite = small.finite & jnp.all(jnp.isfinite(kappa))
         scaled_z, outcome, steps = _follow_path(

@@ -85,7 +85,7 @@ def natural_residual(z: Float[Array, " n"], w: Float[Array, " n"]) -> Float[Arra
 LARGEST_EXCUSED = 1e4
 
 
-def size_of(z: Float[Array, "..."]) -> Float[Array, ""]:
+def residual_size(z: Float[Array, "..."]) -> Float[Array, ""]:
     """What a scaled residual is measured by: 1, or the size of a large solution."""
     return jnp.clip(jnp.max(jnp.abs(z)), 1.0, LARGEST_EXCUSED)
 
@@ -253,7 +253,7 @@ class HorizontalLCP(AbstractLinearProblem):
         return jnp.maximum(natural_residual(z, w), mismatch)
 
 
-def posed(problem: AbstractLinearProblem) -> LCP:
+def as_linear_problem(problem: AbstractLinearProblem) -> LCP:
     """The problem as an LCP. Raises `ValueError` for what is no linear problem."""
     if not isinstance(problem, AbstractLinearProblem):
         kind = type(problem).__name__

@@ -24,12 +24,12 @@ from jaxclear.complementarity.contact_states import (
     REGULAR,
     Scaled,
     keep_states,
-    linearised,
+    linearise_laws,
     scaled_contacts,
 )
 from jaxclear.complementarity.friction_cone import natural_map, one_contact, project_on_cone
 from jaxclear.complementarity.friction_contact import FrictionContact
-from jaxclear.complementarity.problem import AbstractSolver, Outcome, Solution, size_of
+from jaxclear.complementarity.problem import AbstractSolver, Outcome, Solution, residual_size
 from jaxclear.ground.factorisation import eliminate
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.quantity import Scalar, quantity
@@ -141,7 +141,7 @@ def _residual(problem: Scaled, r: tuple) -> Array:
     for i, part in enumerate(r):
         natural = natural_map(part, problem.velocity(i, flat), problem.mu[i], problem.rho[i])
         sizes.append(jnp.max(jnp.abs(natural)) / problem.rho[i])
-    worst = jnp.max(jnp.stack(sizes)) / size_of(flat)
+    worst = jnp.max(jnp.stack(sizes)) / residual_size(flat)
     return jnp.where(jnp.isfinite(worst), worst, jnp.inf)
 
 
@@ -198,7 +198,7 @@ def _damped_newton_step(
     they are in, brought back into their cones, and halved until it misses the laws by less or
     `HALVINGS` are used up.
     """
-    laws, lines = linearised(problem, r, 0.0, damping)
+    laws, lines = linearise_laws(problem, r, 0.0, damping)
     value = jnp.concatenate([law.value for law in laws])
     if in_kernel:
         change = jnp.stack(eliminate(lines, value))

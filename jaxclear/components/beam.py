@@ -215,7 +215,7 @@ def beam_of(bodies: dict[str, Any], name: str) -> str:
     return body.beam if isinstance(body, Piece) else name
 
 
-def wholes(bodies: dict[str, Any]) -> list[str]:
+def whole_bodies(bodies: dict[str, Any]) -> list[str]:
     """The names of bodies, of which beams are one each."""
     return [name for name in bodies if beam_of(bodies, name) == name]
 
@@ -237,8 +237,7 @@ def with_pieces(
     """Bodies, connections and loads with beams replaced by pieces, hinges and elasticity.
 
     Markers on beams are put on pieces; parts that exist are kept. Remains of a beam that was
-    replaced by
-    another body are removed.
+    replaced by another body are removed.
 
     Args:
         bodies: by name; pieces are inserted beside their `Beam`.
@@ -325,7 +324,7 @@ def on_piece(bodies: Mapping[str, Any], marker: Marker, built: Sequence[str] = (
     Args:
         bodies: by name; beams are looked up here.
         marker: on a body or beam; `at[0]` is the position along the beam [m].
-            built: names of beams whose markers are on pieces already; a traced position on these is
+        built: names of beams whose markers are on pieces already; a traced position on these is
             kept.
 
     Raises:

@@ -20,10 +20,10 @@ from jaxclear.components.surface import (
     arc_with_cell,
     block_row,
     edge_depth,
-    entry,
+    entry_at,
     half_steps,
     spline,
-    through,
+    visit_cells,
     with_entry,
 )
 from jaxclear.ground.numerics import (
@@ -159,7 +159,7 @@ class CylinderMap(AbstractRound):
         # Between two columns either rounding must choose the same.
         nearest = jnp.floor(middle + (OFF_THE_TIES - 0.5))
         column = jnp.where(first <= middle + half_arc, first, nearest).astype(int)
-        edge = entry(depth, (column % self.cells[0], contact.row))
+        edge = entry_at(depth, (column % self.cells[0], contact.row))
         return self.clearance + edge + contact.deepest
 
     def touched(self, contact, level):
@@ -195,14 +195,14 @@ class CylinderMap(AbstractRound):
             column = place[0]
             ends = []
             for r, (row, inside) in zip(reading, self._edge_rows(), strict=True):
-                last, further = (entry(depth, (column, each)) for each in (row, inside))
+                last, further = (entry_at(depth, (column, each)) for each in (row, inside))
                 ends.append(with_entry(r, (column + 2,), edge_depth(last, further)))
             return tuple(ends)
 
-        reading = through(touched, (around, 1), visit, reading, True)
+        reading = visit_cells(touched, (around, 1), visit, reading, True)
         # The last two columns once more in front of the first, the first two behind the last.
         for to, of in ((0, around), (1, around + 1), (around + 2, 2), (around + 3, 3)):
-            reading = tuple(with_entry(r, (to,), entry(r, (of,))) for r in reading)
+            reading = tuple(with_entry(r, (to,), entry_at(r, (of,))) for r in reading)
         return reading
 
     def _edge_rows(self) -> list[tuple[int, Any]]:
@@ -226,4 +226,4 @@ class CylinderMap(AbstractRound):
         column = nearest * jnp.floor(self.coarseness)
         column = jnp.where(column < 0, column + around, column)
         here, side = column.astype(int) + 2, self.side
-        return spline(position - nearest, *(entry(row, (here + k * side,)) for k in (-1, 0, 1)))
+        return spline(position - nearest, *(entry_at(row, (here + k * side,)) for k in (-1, 0, 1)))

@@ -22,7 +22,7 @@ from jaxclear.components.surface import (
     arc,
     arc_with_cell,
     block_row,
-    entry,
+    entry_at,
     half_steps,
     table_rows,
 )
@@ -271,7 +271,7 @@ class SphereMap(AbstractRound):
         around, along = self.cells
         place, off = (contact.column, contact.row), OFF_THE_TIES - 0.5
         column, row = (jnp.floor(each + off).astype(int) for each in place)
-        there = entry(depth, (column % around, jnp.clip(row, 0, along - 1)))
+        there = entry_at(depth, (column % around, jnp.clip(row, 0, along - 1)))
         return self.clearance + there + contact.deepest
 
     def touched(self, contact, level):

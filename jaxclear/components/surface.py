@@ -330,12 +330,9 @@ class AbstractSurface(AbstractWearMap):
         r"""(depth [m] that each cell loses, eccentricity [m] of the part).
 
         Depths are proportional to the mean pressure once a part of the volume is lost
-        (`Contact.removed`),
-        :math:`\Delta h = (V/S) w m\sqrt{u - \Delta h}` with V that part, u the largest overlap on
-        the way
-        before it, w the contact's share, m the mean of the roots over the way relative to the
-        largest and S
-        the integral of w times the root of a contact.
+        (`Contact.removed`), :math:`\Delta h = (V/S) w m\sqrt{u - \Delta h}` with V that part, u the
+        largest overlap on the way before it, w the contact's share, m the mean of the roots over
+        the way relative to the largest and S the integral of w times the root of a contact.
 
         Args:
             contact: with the volume [m3] that it removes.
@@ -373,18 +370,18 @@ class AbstractSurface(AbstractWearMap):
 
             def visit(_, place, depth, scale=scale, pressure=pressure):
                 return with_entry(
-                    depth, place, entry(depth, place) + scale * entry(pressure, place)
+                    depth, place, entry_at(depth, place) + scale * entry_at(pressure, place)
                 )
 
-            depth = through(touched, self.cells, visit, depth, True)
+            depth = visit_cells(touched, self.cells, visit, depth, True)
         for touched, _ in shares if reading is not None else ():
             reading = self._read_anew(touched, depth, reading)
         return depth, reading, pressures
 
     def _read_anew(self, touched: Touched, depth: Array, reading: Any) -> Any:
         """The reading where these cells have changed."""
-        visit = lambda _, place, reading: with_entry(reading, place, entry(depth, place))
-        return through(touched, self.cells, visit, reading, True)
+        visit = lambda _, place, reading: with_entry(reading, place, entry_at(depth, place))
+        return visit_cells(touched, self.cells, visit, reading, True)
 
     def _share_cell_by_cell(
         self, depth: Depth, volume: Scalar, features: Float[Array, " n"], pressure: Depth
@@ -400,13 +397,13 @@ class AbstractSurface(AbstractWearMap):
 
             def visit(column, place, carry):
                 total, pressure = carry
-                patch = self.patch(contact, column, place[1], entry(depth, place))
+                patch = self.patch(contact, column, place[1], entry_at(depth, place))
                 result = patch.pressures(contact.removed, level)
                 area = self.row_area(place[1])
                 return total + area * result, with_entry(pressure, place, result)
 
             first, shared = (jnp.zeros(()), now[2]), functools.partial(self.in_columns, contact)
-            total, after = through(touched, self.cells, visit, first, (False, True), shared)
+            total, after = visit_cells(touched, self.cells, visit, first, (False, True), shared)
             scale = contact.volume * safe_divide(1.0, total)
             return jnp.zeros((), bool), (touched, scale), after
 
@@ -423,7 +420,7 @@ class AbstractSurface(AbstractWearMap):
             count, turns, level = now
 
             def visit(column, place, sums):
-                patch = self.patch(contact, column, place[1], entry(depth, place))
+                patch = self.patch(contact, column, place[1], entry_at(depth, place))
                 area = self.row_area(place[1])
                 return tuple(
                     total + area * part
@@ -433,7 +430,7 @@ class AbstractSurface(AbstractWearMap):
             nothing = jnp.zeros(()), jnp.zeros(())
             touched = self.touched(contact, jax.lax.stop_gradient(level))
             shared = functools.partial(self.in_columns, contact)
-            sums = through(touched, self.cells, visit, nothing, False, shared)
+            sums = visit_cells(touched, self.cells, visit, nothing, False, shared)
             near, level = _improve_level(level, target, *sums)
             return count + 1, jnp.where(near, turns - 1, turns), level
 
@@ -542,7 +539,7 @@ def _improve_level(
     return jnp.abs(missing) <= NEAR * target, level + safe_divide(missing, slope)
 
 
-def through(
+def visit_cells(
     touched: Touched,
     cells: tuple[int, ...],
     visit: Callable[[Any, Place, Any], Any],
@@ -555,7 +552,7 @@ def through(
     Args:
         touched: range of columns and rows.
         cells: numbers of cells of the map, around and along.
-            visit: function of what a column's cells share, the cell's (column, row), and the last
+        visit: function of what a column's cells share, the cell's (column, row), and the last
             result.
         first: in the place of a result, for the first visit.
         long: as of `while_loop`, for `first`.
@@ -580,7 +577,7 @@ def through(
     return while_loop(inside, visit_column, begin, (False, long))[1]
 
 
-def entry(array: Array, place: tuple) -> Scalar:
+def entry_at(array: Array, place: tuple) -> Scalar:
     """That at one place."""
     return jax.lax.dynamic_slice(array, place, (1,) * array.ndim)[(0,) * array.ndim]
 

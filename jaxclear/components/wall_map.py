@@ -24,7 +24,7 @@ from jaxclear.components.surface import (
     Outline,
     Touched,
     edge_depth,
-    entry,
+    entry_at,
     spline,
 )
 from jaxclear.ground.numerics import positive_part, safe_divide, safe_sqrt
@@ -218,7 +218,7 @@ class WallMap(AbstractSurface):
 
     def start(self, contact, depth):
         row = jnp.clip(jnp.round(_number(contact.row)), 0, self.cells[1] - 1).astype(int)
-        return entry(depth, (jnp.asarray(contact.column).astype(int), row)) + contact.deepest
+        return entry_at(depth, (jnp.asarray(contact.column).astype(int), row)) + contact.deepest
 
     def touched(self, contact, level):
         # All cells that the face comes to.
@@ -247,7 +247,7 @@ class WallMap(AbstractSurface):
         nearest = jnp.clip(jnp.round(position), 0.0, last)
         row = nearest.astype(int) * self.side
         before, here, right = (
-            entry(depth, (side, jnp.clip(row + k * self.side, 0, self.cells[1] - 1)))
+            entry_at(depth, (side, jnp.clip(row + k * self.side, 0, self.cells[1] - 1)))
             for k in (-1, 0, 1)
         )
         before, right = (
@@ -266,4 +266,4 @@ class WallMap(AbstractSurface):
         """
         last = self.cells[1] - 1
         row, inside = (0, self.side) if end < 0 else (last, last - self.side)
-        return edge_depth(*(entry(depth, (side, jnp.clip(k, 0, last))) for k in (row, inside)))
+        return edge_depth(*(entry_at(depth, (side, jnp.clip(k, 0, last))) for k in (row, inside)))

@@ -82,7 +82,7 @@ def rungs_of(
     Args:
         mechanism: of the run.
         times: saving times [s].
-            accepts: function that raises `ValueError` for an integrator that does not suit the
+        accepts: function that raises `ValueError` for an integrator that does not suit the
             mechanism.
 
     Raises:
@@ -91,8 +91,8 @@ def rungs_of(
     first = _first_step(mechanism, times)
     rungs = [
         _controlled(mechanism),
-        halving(ImplicitStep(first, rebound=1.0), mechanism),
-        halving(FixedStep(first), mechanism),
+        halving_rung(ImplicitStep(first, rebound=1.0), mechanism),
+        halving_rung(FixedStep(first), mechanism),
     ]
     suitable = [rung for rung in rungs if _is_suitable(rung, accepts)]
     if not suitable and _has_elastic_law(mechanism):
@@ -101,7 +101,7 @@ def rungs_of(
         interval = float(np.min(np.diff(times)))
         rigid = MoreauJean(min(interval, float(MoreauJean().step)))
         accepts(rigid)
-        suitable = [halving(rigid, mechanism)]
+        suitable = [halving_rung(rigid, mechanism)]
     return suitable
 
 
@@ -113,11 +113,11 @@ def others_of(
     Args:
         mechanism: of the run.
         times: saving times [s].
-            accepts: function that raises `ValueError` for an integrator that does not suit the
+        accepts: function that raises `ValueError` for an integrator that does not suit the
             mechanism.
 
     Returns:
-            Rungs of order 1, or with short steps in contact alone; rungs with rigid and permanent
+        Rungs of order 1, or with short steps in contact alone; rungs with rigid and permanent
         contact.
     """
     first, interval = _first_step(mechanism, times), float(np.min(np.diff(times)))
@@ -130,12 +130,12 @@ def others_of(
             type(x)(min(_next_shorter_step(interval), float(x.step)))
             for x in (MoreauJean(), NonColliding())
         ]
-    halved = ([halving(x, mechanism) for x in each] for each in (rungs, models))
+    halved = ([halving_rung(x, mechanism) for x in each] for each in (rungs, models))
     stated, other = ([rung for rung in each if _is_suitable(rung, accepts)] for each in halved)
     return stated, other
 
 
-def halving(first: AbstractIntegrator, mechanism: Mechanism) -> Rung:
+def halving_rung(first: AbstractIntegrator, mechanism: Mechanism) -> Rung:
     """Steps of a length, each setting half as long as the one before."""
     return Rung(first, lambda setting: setting.with_finer_steps(HALF), first.evaluations(mechanism))
 

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxclear.components.surface import AbstractSurface
-from jaxclear.errors.observables import named
+from jaxclear.errors.observables import label_of
 from jaxclear.ground.argument_errors import Renamed
 from jaxclear.ground.numerics import safe_divide
 from jaxclear.ground.quantity import is_traced
@@ -60,7 +60,7 @@ class StandardAnswer(NamedTuple):
     @property
     def name(self) -> str:
         """The answer with its place."""
-        return named(self.answer, self.place)
+        return label_of(self.answer, self.place)
 
     @property
     def beyond(self) -> bool:
@@ -249,12 +249,9 @@ def factor_of_cells(surface: AbstractSurface, features: Any, depth: Any, narrow:
     """Error that cells leave in a worn depth, over the change when cells are twice as wide.
 
     It is that of order 2; of a narrow scar that of order 1. Scars of flat faces have edges anywhere
-    in a
-    cell, so two resolutions agree by chance: there Roache's factor of safety, 3, on order 1. A
-    contact
-    narrower than its cells has been widened to them, and depths go with one over each of its
-    widths, of
-    which fourth powers add up.
+    in a cell, so two resolutions agree by chance: there Roache's factor of safety, 3, on order 1. A
+    contact narrower than its cells has been widened to them, and depths go with one over each of
+    its widths, of which fourth powers add up.
 
     Args:
         surface: with its cells.

@@ -96,7 +96,7 @@ def _determined_couplings(run: Trajectory) -> tuple[str, ...]:
     return tuple(n for n in run.mechanism.couplings if not {n, motor_name(n)} & excluded)
 
 
-def named(answer: str, place: str) -> str:
+def label_of(answer: str, place: str) -> str:
     """An answer with its place, if it has one."""
     return f'{answer}, "{place}"' if place else answer
 
@@ -116,7 +116,7 @@ class Difference(NamedTuple):
     @property
     def name(self) -> str:
         """The answer with its place."""
-        return named(self.answer, self.place)
+        return label_of(self.answer, self.place)
 
     @property
     def share(self) -> float:
@@ -163,7 +163,7 @@ def _observe_run(run: Trajectory) -> Observables:
         peaks = stacked([PeakContactForce(name)(run) for name in run.mechanism.topology.clearances])
     friction, turnover = None, None
     if history.balanced:
-        energies = histories.energies(history)
+        energies = histories.energy_history(history)
         friction = energies.friction_loss[-1]
         turnover = jnp.max(energies.kinetic) + jnp.max(jnp.abs(energies.input))
     places = [(joint, surface) for joint, part in run.worn.items() for surface in part]
@@ -331,7 +331,7 @@ def _by_place(
     ]
 
 
-def parted(one: Observables, other: Observables) -> Float[np.ndarray, " time"]:
+def distance_in_gaps(one: Observables, other: Observables) -> Float[np.ndarray, " time"]:
     """By saving time how far parts are elsewhere in their gaps, beside these; 0 without gaps."""
     if one.in_gaps is None:
         return np.zeros(len(one.centres))

@@ -21,7 +21,7 @@ import numpy as np
 
 from jaxclear.errors.accuracy import Bounds, Observed
 from jaxclear.errors.estimates import HALF, QUARTER, Failed, Verified, factors_of_cells, richardson
-from jaxclear.errors.observables import parted
+from jaxclear.errors.observables import distance_in_gaps
 from jaxclear.ground.quantity import concrete, is_traced, with_fields
 from jaxclear.integrators.base import SLIVER, AbstractIntegrator
 from jaxclear.integrators.events import Events
@@ -279,7 +279,7 @@ def _find_chaotic(
     differences = bounds.differences(run, finer, other, finer)
     rows = [(row.share, bounds.tolerance(row)) for row in differences]
     chaotic = np.array([most is not None and share > most for share, most in rows])
-    off = parted(finer.standard, other.standard)
+    off = distance_in_gaps(finer.standard, other.standard)
     beyond = off > limit
     if not moved.succeeded or not beyond.any():
         return None, np.zeros(len(rows), bool)

@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxclear.files.places import NumberPlaces, places_in_words, steps_of
-from jaxclear.files.text import Node, as_float, is_number, misread, nested, plain_text
+from jaxclear.files.text import Node, as_float, is_number, misread, plain_text, read_nested
 from jaxclear.ground.wording import described
 from jaxclear.multibody.mechanism import Mechanism
 
@@ -150,7 +150,7 @@ class NumberArray(AbstractForm):
     """Lists of numbers, nested."""
 
     def read(self, node: Node, path: str, folder: Path) -> Any:
-        return jnp.asarray(nested(node, path), float)
+        return jnp.asarray(read_nested(node, path), float)
 
     def plain(self, thing: Any, path: str, mechanism: Mechanism) -> Any:
         if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(thing)):

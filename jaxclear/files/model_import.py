@@ -30,7 +30,7 @@ from jaxclear.ground.warning import warn
 from jaxclear.ground.wording import listed
 from jaxclear.multibody.joint_replacement import without_loads_on
 from jaxclear.multibody.mechanism import Mechanism
-from jaxclear.multibody.topology import grow
+from jaxclear.multibody.topology import grow_tree
 from jaxclear.results import solids
 from jaxclear.results.solids import Triangles
 
@@ -128,7 +128,7 @@ def _build_mechanism(read: Compiled, stops: str, keyframe: str | None = None) ->
     start = {name: place for name, place in free.items() if name not in equal.free}
     near = {name: place for name, place in free.items() if name in equal.free} | equal.rotations
     near |= {n: v for n, v in initial.items() if n not in free and n not in equal.fixed}
-    grown = grow(tree.bodies, connections)
+    grown = grow_tree(tree.bodies, connections)
     guess = {name: place for name, place in near.items() if grown.branch_of(name) is not None}
     return Mechanism(
         tree.bodies, connections, loads, couplings=equal.couplings, start=start, guess=guess
@@ -154,11 +154,11 @@ def _warn_of(read: Compiled, what: str, sentences: Iterable[str], kind: type[War
 
 # Of mjtGeom: what a size says. Planes and height fields have no body.
 SHAPES = {
-    2: lambda size: solids.ball(size[0]),
-    3: lambda size: solids.capsule(size[0], 2 * size[1]),
-    4: lambda size: _stretch_solid(solids.ball(1.0), size),
+    2: lambda size: solids.make_ball(size[0]),
+    3: lambda size: solids.make_capsule(size[0], 2 * size[1]),
+    4: lambda size: _stretch_solid(solids.make_ball(1.0), size),
     5: lambda size: solids.rod(size[0], 2 * size[1]),
-    6: lambda size: solids.box(2 * size),
+    6: lambda size: solids.make_box(2 * size),
 }
 MESH = 7
 # Groups that MuJoCo's viewer shows: others hold shapes for contacts.

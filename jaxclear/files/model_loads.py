@@ -37,7 +37,7 @@ from jaxclear.components.load import (
     JointStop,
     RotorInertia,
 )
-from jaxclear.files.mujoco_model import SLIDE, SPHERICAL, has_stop, off
+from jaxclear.files.mujoco_model import SLIDE, SPHERICAL, has_stop, is_disabled
 
 # Of impedances MuJoCo itself takes no less and no more than these (mjMINIMP, mjMAXIMP), of widths
 # no less than this (mjMINVAL).
@@ -87,7 +87,7 @@ def soft_of(model: Any, solref: np.ndarray, solimp: np.ndarray) -> Soft:
         time, ratio = USUAL
     if time > 0:
         # The solver keeps to what its steps resolve, unless told not to.
-        if not off(model, "REFSAFE"):
+        if not is_disabled(model, "REFSAFE"):
             time = max(time, 2 * float(model.opt.timestep))
         stiffness, damping = 1 / (last * time * ratio) ** 2, 2 / (last * time)
     else:

@@ -111,7 +111,7 @@ def _compile_spec(spec: Any, name: str) -> Compiled:
             raise ValueError(f"{first}; and without meshes: {second}") from None
 
 
-def off(model: Any, what: str) -> bool:
+def is_disabled(model: Any, what: str) -> bool:
     """Whether the file's flags disable something, by its name in MuJoCo's `mjtDisableBit`."""
     import mujoco
 
@@ -122,20 +122,20 @@ def off(model: Any, what: str) -> bool:
 def _remove_disabled(model: Any) -> None:
     """Takes out of a model what its flags disable, so that nobody reads it."""
     nothing: list[Any] = []
-    constraints = off(model, "CONSTRAINT")
-    if off(model, "GRAVITY"):
+    constraints = is_disabled(model, "CONSTRAINT")
+    if is_disabled(model, "GRAVITY"):
         nothing += [model.opt.gravity, model.body_gravcomp]
-    if constraints or off(model, "LIMIT"):
+    if constraints or is_disabled(model, "LIMIT"):
         nothing += [model.jnt_limited]
-    if constraints or off(model, "FRICTIONLOSS"):
+    if constraints or is_disabled(model, "FRICTIONLOSS"):
         nothing += [model.dof_frictionloss]
-    if constraints or off(model, "CONTACT"):
+    if constraints or is_disabled(model, "CONTACT"):
         nothing += [model.geom_contype, model.geom_conaffinity]
-    if constraints or off(model, "EQUALITY"):
+    if constraints or is_disabled(model, "EQUALITY"):
         nothing += [model.eq_active0]
-    if off(model, "SPRING"):
+    if is_disabled(model, "SPRING"):
         nothing += [model.jnt_stiffness, model.jnt_stiffnesspoly]
-    if off(model, "DAMPER"):
+    if is_disabled(model, "DAMPER"):
         nothing += [model.dof_damping, model.dof_dampingpoly]
     for values in nothing:
         values[...] = 0
@@ -225,8 +225,7 @@ def coordinates_at(model: Any, joints: list[str], keyframe: str) -> dict[str, tu
     """Coordinates of joints at a keyframe, by name.
 
     Those of hinges and slides count from the reference configuration; of balls and free joints they
-    are
-    MuJoCo's.
+    are MuJoCo's.
 
     Args:
         model: MuJoCo's.

@@ -92,7 +92,7 @@ class Part(AbstractForm):
         return isinstance(thing, self.families)
 
     def read(self, node: Node, path: str, folder: Path) -> Any:
-        kinds = members(self.families)
+        kinds = final_classes(self.families)
         made = builders(self.families)
         values = node.value
         alone = ALONE.get(self.families[0]) if len(self.families) == 1 else None
@@ -126,7 +126,7 @@ class Part(AbstractForm):
         raise misread(node, path, f"says no {KIND}; it must be {_one_of(kinds, made)}.")
 
     def plain(self, thing: Any, path: str, mechanism: Mechanism) -> Any:
-        kinds = members(self.families)
+        kinds = final_classes(self.families)
         kind: Any = thing.__class__
         if kind not in kinds.values():
             refuse(path, _why_not_data(thing, kinds))
@@ -148,7 +148,7 @@ class Part(AbstractForm):
         return values[alone] if values.keys() == {alone} else values
 
     def schema(self, defs: dict[str, Schema]) -> Schema:
-        kinds = {n: kind for n, kind in members(self.families).items() if _is_ours(kind)}
+        kinds = {n: kind for n, kind in final_classes(self.families).items() if _is_ours(kind)}
         if not all(_is_ours(family) for family in self.families):
             return {"type": ["string", "object"]}
         made = builders(self.families)
@@ -307,7 +307,7 @@ USUAL: Mapping[Any, type] = MappingProxyType({Variable: Variable, Body: Body})
 ALONE: Mapping[Any, str] = MappingProxyType({Marker: "body"})
 
 
-def members(families: tuple[type, ...]) -> dict[str, type]:
+def final_classes(families: tuple[type, ...]) -> dict[str, type]:
     """Final classes of some families, by short name, in the order of their definition. Of one name
     the package's class counts, and of a user's classes the last one."""
     kinds: dict[str, type] = {}
@@ -550,10 +550,10 @@ def _add_definition(
             entry = argument.form.schema(defs)
             properties[word] = entry if argument.needed else {"anyOf": [entry, {"type": "null"}]}
     needed = [word for word, argument in taken_args.items() if argument.needed]
-    defs[place] = mapping(properties, needed)
+    defs[place] = mapping_schema(properties, needed)
 
 
-def mapping(properties: Schema, required: list[str]) -> Schema:
+def mapping_schema(properties: Schema, required: list[str]) -> Schema:
     """The schema of a mapping whose names are known."""
     schema: Schema = {"type": "object", "properties": properties, "additionalProperties": False}
     return schema | ({"required": required} if required else {})

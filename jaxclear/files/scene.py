@@ -37,9 +37,9 @@ from jaxclear.files.forms import (
     Schema,
     Text,
 )
-from jaxclear.files.parts import Part, mapping
+from jaxclear.files.parts import Part, mapping_schema
 from jaxclear.files.places import NumberPlaces, check_numbers
-from jaxclear.files.text import JSON, YAML, Misread, Node, misread, parsed, text_of
+from jaxclear.files.text import JSON, YAML, Misread, Node, misread, parse_values, text_of
 from jaxclear.ground.argument_errors import answering, with_new_arguments
 from jaxclear.ground.arguments import check_flags, check_name, expect
 from jaxclear.ground.quantity import AbstractQuantified
@@ -335,7 +335,7 @@ def read_scene(path: Any) -> Scene:
     """
     path = _as_path(path)
     try:
-        return _read_scene(parsed(text_of(path), path.suffix), path.parent)
+        return _read_scene(parse_values(text_of(path), path.suffix), path.parent)
     except Misread as error:
         raise Misread(f"{path.name}: {error}") from None
 
@@ -525,11 +525,11 @@ def scene_schema() -> Schema:
     """
     defs: dict[str, Schema] = {}
     of = lambda forms: {name: form.schema(defs) for name, form in forms.items()}
-    properties = of(TOP) | {HEAD: {"const": FORMAT}, "run": mapping(of(RUN), [])}
+    properties = of(TOP) | {HEAD: {"const": FORMAT}, "run": mapping_schema(of(RUN), [])}
     return {
         "$schema": DRAFT,
         "title": "A scene of jaxclear",
         "description": "A mechanism, how it is run, what varies of it, and responses; SI units.",
-        **mapping(properties, [HEAD, "mechanism"]),
+        **mapping_schema(properties, [HEAD, "mechanism"]),
         "$defs": dict(sorted(defs.items())),
     }

@@ -93,7 +93,7 @@ def text_of(path: Path) -> str:
         raise Misread(f"cannot be read: {error.strerror}.") from None
 
 
-def parsed(text: str, suffix: str) -> Node:
+def parse_values(text: str, suffix: str) -> Node:
     """The values in a text of YAML or JSON, by the file's ending. Raises `Misread`."""
     if suffix.lower() in JSON:
         return _parse_json(text)
@@ -306,13 +306,13 @@ def plain_text(node: Node, path: str) -> str:
     raise misread(node, path, f"is {node.words}; it must be a text.")
 
 
-def nested(node: Node, path: str) -> Any:
+def read_nested(node: Node, path: str) -> Any:
     """Numbers in nested lists, all of one shape."""
     if is_number(node):
         return as_float(node, path)
     if not isinstance(node.value, list):
         raise misread(node, path, f"is {node.words}; it must be a list of numbers.")
-    values = [nested(entry, path) for entry in node.value]
+    values = [read_nested(entry, path) for entry in node.value]
     if len({np.shape(entry) for entry in values}) > 1:
         raise misread(node, path, "is a list whose entries have different lengths.")
     return values

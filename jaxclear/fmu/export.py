@@ -10,7 +10,7 @@ import equinox as eqx
 import numpy as np
 
 from jaxclear.fmu.description import IDENTIFIER, KINDS, description
-from jaxclear.fmu.link import TARGETS, checked_target, compiler, library, this_machine
+from jaxclear.fmu.link import TARGETS, checked_target, find_compiler, link_library, this_machine
 from jaxclear.fmu.unit import Unit
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_name, check_number, expect
@@ -138,7 +138,7 @@ def export_fmu(
     check_name("cpu", cpu or names.cpus[0], names.cpus, " of export_fmu")
     if file.suffix != ".fmu" or not file.parent.is_dir():
         raise ValueError(NO_PATH.format(path=file))
-    command = compiler(system)
+    command = find_compiler(system)
     mechanism, integrator = with_quantities((mechanism, integrator))
     times = np.linspace(0.0, duration, max(2, round(duration / interval) + 1))
     steps = load_steps(mechanism, integrator, times)
@@ -150,7 +150,7 @@ def export_fmu(
     with zipfile.ZipFile(made, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("modelDescription.xml", description(unit, file.stem, kinds))
         place = f"binaries/{system}/{IDENTIFIER}.{names.ending}"
-        archive.writestr(place, library(command, header, code))
+        archive.writestr(place, link_library(command, header, code))
     file.write_bytes(made.getvalue())
     doubt = unit.functions.doubt
     notes = [*checked_by(steps.passed, Checks()).warnings, *([doubt] if doubt else [])]

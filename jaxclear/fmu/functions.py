@@ -30,7 +30,7 @@ from jaxclear.simulation.invariants import (
     contact_radii,
     openings,
 )
-from jaxclear.simulation.loop import Carry, Span, Turn, first_turn, largest_of, through_interval
+from jaxclear.simulation.loop import Carry, Span, Turn, extremes_of, first_turn, through_interval
 
 Arrays = list[Any]
 # A contact that touches or parts within this time [s] does so now: searches for roots end within
@@ -183,7 +183,7 @@ def run_of_step(
     states = integrator.check_derivatives(model, times, states, now.state, now.warm_start)
     history = StateHistory(mechanism, integrator.formulation, times, states, {}, False)
     stats = RunStats(*now.steps, jnp.zeros((), int))
-    extremes = largest_of(mechanism, model, now)
+    extremes = extremes_of(mechanism, model, now)
     return Trajectory(history, {}, now.outcome, now.ended, stats, extremes=extremes)
 
 

@@ -52,7 +52,7 @@ def checked_target(target: str | None) -> str:
     return name
 
 
-def compiler(target: str) -> list[str]:
+def find_compiler(target: str) -> list[str]:
     """The command that compiles and links for a target. Raises `ImportError` with a sentence."""
     if target == this_machine():
         for name in (os.environ.get("CC", ""), "cc", "gcc", "clang"):
@@ -64,7 +64,7 @@ def compiler(target: str) -> list[str]:
     return [sys.executable, "-m", "ziglang", "cc", "-target", TARGETS[target].zig]
 
 
-def library(command: list[str], header: str, code: bytes) -> bytes:
+def link_library(command: list[str], header: str, code: bytes) -> bytes:
     """Bytes of a unit's shared library.
 
     Args:

@@ -97,12 +97,12 @@ def check_unique(what: str, rows: Sequence[tuple[Any, str]]) -> None:
             raise ValueError(TWICE.format(what=what, name=name))
 
 
-def flat(leaves: Sequence[Any]) -> list[str]:
+def c_numbers(leaves: Sequence[Any]) -> list[str]:
     """The packed numbers in C."""
     return [number(x) for leaf in leaves if not is_table(leaf) for x in np.ravel(leaf)]
 
 
-def ending(run: Trajectory, code: Outcome) -> str:
+def c_ending(run: Trajectory, code: Outcome) -> str:
     """Why a run ended so, in C, its time left to `printf`."""
     ended = dataclasses.replace(run, outcome=jnp.asarray(int(code)), ended=jnp.zeros(()))
     return text(message_of_the_end(ended).replace("%", "%%").replace("after 0 s", "after %g s"))
@@ -251,15 +251,15 @@ class Unit:
         }
         beyond = [f"{x.name} = %g is out of its range [{x.unit}]." for x in self.settable]
         arrays = {
-            "double given": flat(original),
-            "double run": flat(run),
-            "double handed": flat(self.handed),
+            "double given": c_numbers(original),
+            "double run": c_numbers(run),
+            "double handed": c_numbers(self.handed),
             "int given_at": [str(x.at) for x in self.settable],
             "int run_at": [str(x.run_at) for x in self.settable],
             "double least": [number(x.least) for x in self.settable],
             "double most": [number(x.most) for x in self.settable],
             "char *const range_text": [text(x) for x in beyond],
-            "char *const ending": [ending(step_run, code) for code in Outcome],
+            "char *const ending": [c_ending(step_run, code) for code in Outcome],
             "double check_limit": [number(check.limit) for check, _ in checks],
             "char *const check_text": [text(x[0].upper() + x[1:]) for x in lines],
         }
@@ -298,8 +298,8 @@ class Unit:
         self._make(
             "start_slope", [zero] * (1 + len(chosen)), slopes.start, functions.original.leaves
         )
-        plain, mechanism = flat(run), functions.run.tree(run)[0]
-        others = [flat(Flat.of((mechanism, other)).leaves) for other in self.others]
+        plain, mechanism = c_numbers(run), functions.run.tree(run)[0]
+        others = [c_numbers(Flat.of((mechanism, other)).leaves) for other in self.others]
         changed = [k for k in range(len(plain)) if any(x[k] != plain[k] for x in others)]
         sizes = {
             "MOVING": packed_size([run[i] for i in slopes.moving]),

@@ -186,8 +186,13 @@ def clearance_contact(instant: Instant, forces: Forces, name: str) -> ContactRep
 
 
 def check_play(mechanism: Mechanism, integrator: str, rigid: bool) -> None:
-    """Raises `ValueError` with a sentence for a coupling whose play the formulation cannot serve:
-    where flanks may be `rigid` those with a restitution need nothing else."""
+    """Raises `ValueError` for a coupling whose play the formulation cannot model.
+
+    Args:
+        mechanism: with its couplings.
+        integrator: name in the message.
+        rigid: whether flanks may be rigid; those with a restitution then need no stiffness.
+    """
     for name, coupling in mechanism.couplings.items():
         if coupling.play is None:
             continue
@@ -214,7 +219,13 @@ def check_play(mechanism: Mechanism, integrator: str, rigid: bool) -> None:
 
 
 def check_unworn(name: str, coupling: AbstractCoupling, integrator: str) -> None:
-    """Raises `ValueError` for a coupling whose flanks wear."""
+    """Raises `ValueError` for a coupling whose flanks wear.
+
+    Args:
+        name: of the coupling.
+        coupling: with or without play.
+        integrator: name in the message.
+    """
     if coupling.play is not None and coupling.play.wear is not None:
         raise ValueError(
             f'the play of coupling "{name}" wears, which {integrator} does not follow on '
@@ -224,7 +235,13 @@ def check_unworn(name: str, coupling: AbstractCoupling, integrator: str) -> None
 
 
 def check_lossless(name: str, coupling: AbstractCoupling, why: str) -> None:
-    """Raises `ValueError` for a coupling that loses power, where its play is one of rows."""
+    """Raises `ValueError` for a coupling that loses power, where its play is between rigid flanks.
+
+    Args:
+        name: of the coupling.
+        coupling: with play.
+        why: clause of the message that says why losses are not modelled.
+    """
     if coupling.efficiency is not None or coupling.thread is not None:
         raise ValueError(
             f'coupling "{name}" has play and loses power to friction, and {why}, of which nothing '

@@ -59,8 +59,8 @@ def _work_rates(model: Model, time: Any, entries: list, mean: list) -> list:
     the forces at a state's `entries`, over the `mean` speeds of the step that begins there."""
     system, layout = model.system, model.layout
     first, last = layout.coordinates, layout.memory_start
-    start, q, _ = _acting(model, time, entries)
-    middle = _acting(model, time, [*entries[:first], *mean, *entries[last:]])[0]
+    start, q, _ = _acting_forces(model, time, entries)
+    middle = _acting_forces(model, time, [*entries[:first], *mean, *entries[last:]])[0]
     work, loss, rubbed = 0, 0, 0
     # The rows of contacts come first.
     for row, name in zip(start.rows, system.bearings, strict=False):
@@ -125,13 +125,13 @@ class CompliantContact(AbstractFormulation):
         return (*mechanism.topology.clearances, *rubbing_in(mechanism.connections))
 
     def forces(self, instant: Instant):
-        forces = _acting(instant.model, instant.time, instant.entries)[0]
+        forces = _acting_forces(instant.model, instant.time, instant.entries)[0]
         if not rubbing_joints(instant.model.system):
             return forces
         return joint_friction.rubbing(instant.model, forces, instant.q).forces
 
     def contact(self, instant: Instant, name: str) -> ContactReport:
-        forces = _acting(instant.model, instant.time, instant.entries)[0]
+        forces = _acting_forces(instant.model, instant.time, instant.entries)[0]
         if name in instant.model.system.bearings:
             return clearance_contact(instant, forces, name)
         return joint_friction.contact(instant, forces, name)
@@ -156,7 +156,7 @@ class CompliantContact(AbstractFormulation):
         system, layout, entries = model.system, model.layout, model.entries(state)
         if shares is not None:
             flanks = shares[layout.joint_contacts :]
-        forces, q, v = _acting(model, time, entries, shares, flanks)
+        forces, q, v = _acting_forces(model, time, entries, shares, flanks)
         forces, solution, rubbing = joint_friction.solved(model, forces, q)
         reports = forces.reports
         normal = ([point.normal_force for point in report.points] for report in reports.values())
@@ -169,7 +169,7 @@ class CompliantContact(AbstractFormulation):
         ]
         points = [point for report in reports.values() for point in report.points]
         moving = [(point.indentation, point.rate) for point in points]
-        return sp.stack(rates), _stacked([*moving, *_flanks_of(forces.pressing)])
+        return sp.stack(rates), _stack_motions([*moving, *_motion_of_flanks(forces.pressing)])
 
     def contacts(
         self, model: Model, time: Any, state: State, flanks: Any = None, exact: bool = False
@@ -188,7 +188,7 @@ class CompliantContact(AbstractFormulation):
         Returns:
             a `ContactMotion`.
         """
-        motion = lambda time, state: _stacked(_row_motions(model, time, state, flanks))
+        motion = lambda time, state: _stack_motions(_row_motions(model, time, state, flanks))
         if exact and any(one.separates_by_torque for one in model.system.transmissions.values()):
             flow = self.rate(model, time, state, None, flanks)[0]
             depths = lambda *now: motion(*now).depths
@@ -332,7 +332,7 @@ class CompliantContact(AbstractFormulation):
             depths=[point.gap_function.indentation for point in points], slips=slips
         )
         if rubbing_joints(model.system):
-            forces, q, _ = _acting(model, time, entries)
+            forces, q, _ = _acting_forces(model, time, entries)
             reactions = joint_friction.rubbing(model, forces, q).answer.reactions
             start = start._replace(reactions=reactions)
         return start.packed()
@@ -402,17 +402,17 @@ def _row_motions(model: Model, time: Any, state: State, flanks: Any = None) -> l
     rows = [(*row[:2], row[2] if rub else ()) for rub, row in zip(rubs, points, strict=True)]
     if model.layout.plays:
         followed = unpack_followed(model.layout, entries, flanks)
-        rows += _flanks_of(pressing_of(system, motions, followed))
+        rows += _motion_of_flanks(pressing_of(system, motions, followed))
     return rows
 
 
-def _flanks_of(pressing: dict[str, Pressing]) -> list:
+def _motion_of_flanks(pressing: dict[str, Pressing]) -> list:
     """(depth, rate, no slip) of every flank."""
     flanks = (zip(each.depths, each.rates, strict=True) for each in pressing.values())
     return [(*pair, ()) for flank in flanks for pair in flank]
 
 
-def _acting(
+def _acting_forces(
     model: Model, time: Any, entries: list, shares: Any = None, flanks: Any = None
 ) -> tuple[Forces, tuple, tuple]:
     """(what acts but friction in ideal joints, coordinates and speeds by link)."""
@@ -435,7 +435,7 @@ def _with_shares(memories: dict, shares: Any) -> dict:
     return result
 
 
-def _stacked(points: list) -> ContactMotion:
+def _stack_motions(points: list) -> ContactMotion:
     """The motion of all contacts from (indentation, rate, ...) of each."""
     depths, rates = ([point[i] for point in points] for i in (0, 1))
     return ContactMotion(sp.stack(depths), sp.stack(rates))

@@ -60,15 +60,20 @@ class _Pressed(NamedTuple):
 
 
 def contact_rates(mechanism: Mechanism, duration: float, step: float) -> dict[str, ContactRates]:
-    """Rates of every clearance joint with a compliant law, in a run of `duration` [s] with steps of
-    `step` [s] (over which friction that remembers is taken)."""
+    """Rates of every clearance joint with a compliant law, estimated before a run.
+
+    Args:
+        mechanism: with numbers; it is assembled.
+        duration: of the run [s].
+        step: length over which friction with memory is taken [s].
+    """
     # A drive takes its link to where the others, which stay at their start, cannot follow.
     times = np.zeros(1) if mechanism.driven else np.linspace(0.0, duration, INSTANTS)
     rates = _rates_of_joints(*ready(mechanism)[:2], times, np.asarray(step))
     return {name: ContactRates(*map(float, joint_rates)) for name, joint_rates in rates.items()}
 
 
-def _rates(laws: ContactLaws, pressed: _Pressed, step: Any) -> ContactRates:
+def _contact_rates_of(laws: ContactLaws, pressed: _Pressed, step: Any) -> ContactRates:
     """Rates of a contact that is `pressed` through its clearance."""
     depths, lightness = jnp.asarray(DEPTHS), pressed.lightness
     forces = jax.vmap(laws.contact.elastic_force)(depths)
@@ -108,7 +113,7 @@ def _rates_of_joints(
         now = free_motion(model, time, q, v, Followed(angles))
         free = delassus.delassus_operator(now, []).free
         return {
-            name: _of_joint(bearing, model.system, motions, now, free)
+            name: _press_joint(bearing, model.system, motions, now, free)
             for name, bearing in bearings.items()
         }
 
@@ -117,7 +122,7 @@ def _rates_of_joints(
         loads = pressed.acceleration / jnp.maximum(pressed.lightness, LEAST_LIGHTNESS)
         *parts, travel = (part[jnp.argmax(jnp.max(loads, axis=1))] for part in pressed)
         rates = [
-            _rates(laws, _Pressed(*[*(part[k] for part in parts), travel]), step)
+            _contact_rates_of(laws, _Pressed(*[*(part[k] for part in parts), travel]), step)
             for k, laws in enumerate(bearings[name].contact_laws)
             if laws.contact.compliant
         ]
@@ -128,7 +133,7 @@ def _rates_of_joints(
     return result
 
 
-def _of_joint(bearing, system, motions, now, free) -> _Pressed:
+def _press_joint(bearing, system, motions, now, free) -> _Pressed:
     """A joint moved until it touches, in the direction in which it is pressed."""
     relative = kinematics.relative_motion(bearing.closure, motions)[2]
     rows = kinematics.relative_jacobian(

@@ -106,7 +106,13 @@ class MiddleOfStep(NamedTuple):
         return sp.each(sp.sub, speeds, self.predicted)
 
     def end(self, model: Model, mean: list, h: Any) -> list:
-        """Coordinates after a step of mean speeds, their rates taken in its middle."""
+        """Coordinates at the end of a step, their rates taken in its middle.
+
+        Args:
+            model: of the run.
+            mean: mean speeds over the step, scalars.
+            h: its length [s].
+        """
         middle = drift(model.system, self.q, self.halfway, mean, 0.5 * h)
         return drift(model.system, self.q, middle, mean, h)
 
@@ -159,8 +165,17 @@ def middle_of_step(
 def with_implicit_springs(
     system: System, now: FreeMotion, h: Any, accelerations: list
 ) -> FreeMotion:
-    """The equations with springs that steps need not resolve at the middle to which the sought
-    accelerations lead, q + h v / 2 + h^2 a / 4: M + h D / 2 + h^2 K / 4 in the place of M."""
+    """The equations of motion with stiff springs taken implicitly.
+
+    The mass matrix becomes M + h D / 2 + h^2 K / 4, as the middle of the step is that to which the
+    unknown accelerations lead, q + h v / 2 + h^2 a / 4.
+
+    Args:
+        system: with loads that state their `resistance`.
+        now: equations of motion in the middle of the step.
+        h: length of the step [s].
+        accelerations: predicted ones, with which the middle was computed, scalars.
+    """
     springs = {
         name: (0.25 * h * h * stiffness, sp.mul(0.5 * h, damping))
         for _, load in coordinate_loads(system)
@@ -181,8 +196,15 @@ def with_implicit_springs(
 
 
 def free_motion(model: Model, time: Any, q: tuple, v: tuple, followed: Followed) -> FreeMotion:
-    """The equations of motion at an instant, contacts apart; `followed`: what the state follows
-    beside the motion."""
+    """The equations of motion at an instant, without contacts.
+
+    Args:
+        model: of the run.
+        time: instant [s].
+        q, v: coordinates and speeds, a tuple for each link.
+        followed: what the state integrates beside the motion: whole-turn angles, load states,
+            flanks.
+    """
     system = model.system
     motions = kinematics.link_motions(system, q, v, time)
     poses, contacts = contact_points(model, motions)
@@ -278,7 +300,14 @@ def damped(system: System) -> bool:
 
 
 def row_rates(joint, gap_functions, pose, velocity, spin) -> tuple:
-    """Rate of the indentation and components of slip of each contact, one after the other."""
+    """Rate of indentation and components of slip of each contact, one after the other [m/s].
+
+    Args:
+        joint: geometry of the clearance.
+        gap_functions: of its possible contacts at this pose.
+        pose: journal's marker in the bearing's frame.
+        velocity, spin: of the journal as seen from the bearing, in its axes [m/s, rad/s].
+    """
     rates: list[Any] = []
     for gap_function in gap_functions:
         rate, slip = contact_point.contact_speeds(joint, pose, gap_function, velocity, spin)
@@ -293,7 +322,13 @@ TOUCHING = 1e-9
 def joint_reports(
     system: System, poses: dict[str, Pose], contacts: list[ActingContact]
 ) -> dict[str, JointReport]:
-    """Reports of the clearance joints."""
+    """Report of every clearance joint, by joint.
+
+    Args:
+        system: with the joints.
+        poses: journal's marker in the bearing's frame, by joint.
+        contacts: of all joints, in the order of `system.bearings`.
+    """
     each = zip(system.bearings.items(), by_joint(system, contacts), strict=True)
     return {
         name: contact_point.assemble(bearing.joint, poses[name], acting)
@@ -308,19 +343,26 @@ def rigid_reports(
     forces: list[tuple],
     change: list | None = None,
 ) -> dict[str, JointReport]:
-    """Reports for given forces (normal, then friction along each slip direction) of contacts
-    without stiffness, at their rates with the speeds changed by `change`."""
+    """Reports for given forces of contacts without stiffness.
+
+    Args:
+        system: with the joints.
+        poses: journal's marker in the bearing's frame, by joint.
+        contacts: of all joints, in the order of `system.bearings`.
+        forces: of each contact, normal [N], then friction along each sliding direction.
+        change: of the free speeds at which rates are taken; None: the speeds of `contacts`.
+    """
     acting = []
     for contact, (normal, *tractions) in zip(contacts, forces, strict=True):
         laws, gap = contact.laws, contact.gap_function
-        pressed = jnp.maximum(gap.indentation, _pressed(laws, normal))
+        pressed = jnp.maximum(gap.indentation, _indentation_under(laws, normal))
         rates = tuple(x.value if change is None else x.at(change) for x in contact.rates)
         values = laws, gap, rates, normal, tuple(tractions), 0.0
         acting.append(ActingContact(*values, pressed=pressed))
     return joint_reports(system, poses, acting)
 
 
-def _pressed(laws: ContactLaws, force: Any) -> Any:
+def _indentation_under(laws: ContactLaws, force: Any) -> Any:
     """Indentation [m] at which the extent of a contact under a normal force [N] is read: its law's,
     where it has one."""
     if not laws.wears:

@@ -173,11 +173,11 @@ def implicit_contact(
     if rows and not free_motion.closures.rows and len(rows) >= size:
         operator = delassus_operator(free_motion, [])
         mass = _block_diagonal(free_motion.masses)
-        direction = _in_speeds if size < MANY else _in_many_speeds
+        direction = _speed_space_solver if size < MANY else _array_speed_space_solver
         return ImplicitContact(operator.free, operator.multipliers, direction(mass, rows))
     operator = delassus_operator(free_motion, rows)
     if rows:
-        in_rows = _in_rows if len(rows) < MANY else _in_many_rows
+        in_rows = _row_space_solver if len(rows) < MANY else _array_row_space_solver
         return ImplicitContact(operator.free, operator.multipliers, in_rows(operator))
     nothing = ContactSolution([], [], [0] * size, (0,) * len(operator.multipliers))
     return ImplicitContact(operator.free, operator.multipliers, lambda *_: nothing)
@@ -195,7 +195,7 @@ def _block_diagonal(masses: list) -> list[list]:
     return out
 
 
-def _in_speeds(mass: list, rows: list[JacobianRow]) -> Callable:
+def _speed_space_solver(mass: list, rows: list[JacobianRow]) -> Callable:
     """Scalars throughout."""
     size = len(mass)
     # Products of each row with itself, the lower half: they do not change while the laws are
@@ -226,7 +226,7 @@ def stacked(values: Sequence[Any]) -> jnp.ndarray:
     return in_memory(sp.stack(values))
 
 
-def _in_many_speeds(mass: list[list], rows: list[JacobianRow]) -> Callable:
+def _array_speed_space_solver(mass: list[list], rows: list[JacobianRow]) -> Callable:
     """The same from array to array."""
     size, entries = len(mass), Entries(rows)
     lower = [(i, j) for i in range(size) for j in range(i + 1) if not sp.is_zero(mass[i][j])]
@@ -256,7 +256,7 @@ def _in_many_speeds(mass: list[list], rows: list[JacobianRow]) -> Callable:
     return solve
 
 
-def _in_rows(operator: DelassusOperator) -> Callable:
+def _row_space_solver(operator: DelassusOperator) -> Callable:
     """In the forces along the rows, made symmetric by the roots of their dampings and reaches."""
     gains = operator.matrix()
     count = len(gains)
@@ -288,7 +288,7 @@ def _in_rows(operator: DelassusOperator) -> Callable:
     return solve
 
 
-def _in_many_rows(operator: DelassusOperator) -> Callable:
+def _array_row_space_solver(operator: DelassusOperator) -> Callable:
     """The same from array to array."""
     count, size = len(operator.rows), len(operator.free)
     acting = Entries(operator.rows)

@@ -126,8 +126,15 @@ def without_films(model: Model) -> Model:
 def films_over_step(
     system: System, middle: MiddleOfStep, past: list, start: Any, averaging: Averaging
 ) -> tuple[FilmOverStep, ...]:
-    """The films over a step from a time `start` [s]; `past`: mean velocities of their journals in
-    the step before."""
+    """The films over a step.
+
+    Args:
+        system: with the films.
+        middle: of the step.
+        past: mean velocity of each journal in the step before.
+        start: of the step [s].
+        averaging: its length and bias.
+    """
     half = 0.5 * averaging.length
     films, result = films_of(system), []
     if not films:
@@ -160,8 +167,15 @@ def films_over_step(
 def solve_with_films(
     equations: ImplicitContact, reaches: list, unmoved: list, laws: LinearLaws, tangents: list
 ) -> ContactSolution:
-    """The solution with films whose rows are the last ones; `tangents` of each: its forces, how
-    they fall with its rates, and the rates at which."""
+    """The solution of a step with films, whose rows are the last ones.
+
+    Args:
+        equations: of the step.
+        reaches: by how much forces change rates, for each row.
+        unmoved: rates without forces, for each row.
+        laws: of the other rows.
+        tangents: of each film: its forces, how they fall with its rates, and these rates.
+    """
     if not tangents:
         return equations.solve(reaches, unmoved, laws)
     size, count = len(unmoved), AXES * len(tangents)
@@ -199,10 +213,17 @@ def velocity_lag(
     equations: ImplicitContact,
     size: int,
 ) -> list:
-    """By what the speeds at the `end` of a step (time, coordinates, speeds) lack those to which
-    the mean velocities of journals in films lead; `size`: number of rows of the `equations`.
+    """Correction of the speeds at the end of a step to the mean velocities of journals in films.
 
     A stiff film determines the mean velocity of a step; the one at its end alternates about it.
+
+    Args:
+        system: with the films.
+        films: over the step.
+        end: of the step: time [s], coordinates and speeds.
+        means: mean velocity of each journal [m/s].
+        equations: of the step.
+        size: number of its rows, those of films last.
     """
     time, q, v = end
     motions = kinematics.link_motions(system, *unpack_motion(system, [*q, *v]), time)
@@ -233,7 +254,14 @@ def unit_vector(size: int, index: int) -> list:
 def with_films(
     forces: Forces, films: tuple[FilmOverStep, ...], pushes: list[tuple], rates: list[tuple]
 ) -> Forces:
-    """The forces with those of films, `pushes` at mean `rates` over a step, and what these take."""
+    """The forces with the mean ones of films and the power that these dissipate.
+
+    Args:
+        forces: without films.
+        films: over the step.
+        pushes: mean forces of each film [N].
+        rates: mean rates along them [m/s].
+    """
     rows, loss = list[Row](), forces.damping_loss
     for film, push, rate in zip(films, pushes, rates, strict=True):
         rows += map(Row, (film.name,) * AXES, film.directions, push)

@@ -39,15 +39,22 @@ class ContactMotion(NamedTuple):
 def remembered(
     speed: PerContact, before: ContactMotion, after: ContactMotion, length: Scalar
 ) -> PerContact:
-    """Impact speeds [m/s] at the end of a step of `length` [s] from those at its start: 0 where
-    apart, of a contact that has closed the approach speed at its touch, of others as they were.
+    """Impact speeds [m/s] at the end of a step.
+
+    They are 0 where a contact is apart, the approach speed at the touch where it has closed, and
+    unchanged elsewhere.
+
+    Args:
+        speed: at its start [m/s].
+        before, after: motion of the contacts at its start and end.
+        length: of the step [s].
     """
     touched = jnp.where(speed > 0, speed, at_touch(before, after, length))
     return jnp.where(after.depths < 0, 0.0, touched)
 
 
 def at_touch(before: ContactMotion, after: ContactMotion, length: Scalar) -> PerContact:
-    r"""Speed [m/s] > 0 with which an indentation passes through 0 in a step of `length` [s].
+    r"""Speed [m/s] > 0 with which an indentation passes through 0 in a step.
 
     The square of a rate is linear in the place where the acceleration is constant; what
     :math:`\delta_1 - \delta_0` departs from the trapezoidal rule by tells the next term. Exact to
@@ -55,6 +62,10 @@ def at_touch(before: ContactMotion, after: ContactMotion, length: Scalar) -> Per
     the rate changes its sign (the journal has turned, or passed the middle of its bearing, where
     the normal turns) the first term alone. Where the indentation does not pass through 0 the speed
     of the nearer end.
+
+    Args:
+        before, after: motion of the contacts at the start and end of the step.
+        length: of the step [s].
     """
     direction = after.depths - before.depths
     share = jnp.clip(safe_divide(-before.depths, direction), 0.0, 1.0)
@@ -72,7 +83,7 @@ def cubic(path: tuple, share: Array) -> tuple[Array, Array]:
     """Hermite's cubic through an indentation and its slope at both ends of a step, `path` (first,
     last, slope at the first, at the last, by the share of the step), and its slope there."""
     first, _, leaving, _ = path
-    bend, twist = _powers(path)
+    bend, twist = _cubic_coefficients(path)
     return (
         first + share * (leaving + share * (bend + share * twist)),
         leaving + share * (2 * bend + 3 * share * twist),
@@ -81,11 +92,11 @@ def cubic(path: tuple, share: Array) -> tuple[Array, Array]:
 
 def bends(path: tuple) -> tuple[Array, Array]:
     """The cubic's second derivatives, by the share of the step, at both its ends."""
-    bend, twist = _powers(path)
+    bend, twist = _cubic_coefficients(path)
     return 2 * bend, 2 * bend + 6 * twist
 
 
-def _powers(path: tuple) -> tuple[Array, Array]:
+def _cubic_coefficients(path: tuple) -> tuple[Array, Array]:
     """The cubic's coefficients of the second and third power."""
     first, last, leaving, arriving = path
     direction = last - first
@@ -101,10 +112,15 @@ class Passage(NamedTuple):
 
 
 def passage(path: tuple, level: Scalar, last: Array, target: Any = None) -> Array:
-    """The share of the step at which the cubic passes a level between its start and the share
-    `last`, on whose other side it is there. Newton's method, halving where he leaves the
-    bracket: in flight it is all but straight. Where `target` is false nothing is searched
-    for; None stands for always, and has derivatives in reverse mode too."""
+    """Share of a step at which a cubic passes a level, by bracketed Newton steps.
+
+    Args:
+        path: Hermite's cubic of each contact: values and scaled slopes at the ends [m].
+        level: that is passed [m].
+        last: share at which the cubic is on the other side of it than at the start [1].
+        target: whether anything is searched for; None: always, with derivatives in reverse mode
+            too.
+    """
     low, high = jnp.zeros_like(last), last
     first, there = path[0] - level, cubic(path, last)[0] - level
     share = jnp.clip(last * safe_divide(first, first - there), 0.0, last)
@@ -145,15 +161,18 @@ def end_at_passage(
     beyond: Scalar,
     least: Scalar = 0.0,
 ) -> Scalar:
-    """The share of a step at which it would have ended where a contact first closes or parts in it;
-    1 where none goes more than `beyond` [m] beyond its wall, or only within a time `least` [s] of
-    its end: such a passage hides no earlier one of another contact. No share is shorter than that
-    time: a contact that starts short of its wall by less is beyond it there, and does not count as
-    it started for a longer step.
+    """Share of a step at which it would have ended at the first touch or release in it; 1 if none.
 
-    Signs of the rates at the ends do not tell of a touch between them: a journal that has touched,
-    parted and passed the middle of its bearing comes nearer to the wall at both. So the halves of
-    the step are looked at, on each Hermite's cubic, which is exact for a path in free fall.
+    Signs of the rates at the ends do not indicate a touch between them: a journal that has touched,
+    parted and passed the middle of its bearing comes nearer to the wall at both. So each half of
+    the step is searched, with Hermite's cubic, which is exact for a path in free fall.
+
+    Args:
+        before, middle, after: motion of the contacts in the step.
+        length: of the step [s].
+        beyond: distance beyond the wall that counts as a passage [m].
+        least: smallest time [s] between a passage and the step's end that counts; no share is
+            shorter.
     """
     outwards = jnp.where(before.depths >= 0, -1.0, 1.0)
 
@@ -181,7 +200,7 @@ def summit(path: tuple) -> Array:
     """The share of the step at which the cubic is highest between its ends; an end, where it rises
     or falls all the way."""
     leaving = path[2]
-    bend, twist = _powers(path)
+    bend, twist = _cubic_coefficients(path)
     root = safe_sqrt(bend * bend - 3 * twist * leaving)
     # The root of the slope at which it falls, by that of two forms which does not cancel.
     falling = jnp.where(
@@ -191,13 +210,18 @@ def summit(path: tuple) -> Array:
 
 
 def taken_in_flight(speed: Scalar, flight: tuple, length: Scalar) -> Scalar:
-    """Impact speed [m/s] for an implicit step of `length` [s]: as it was in contact; of a contact
-    that is apart, the speed with which it would touch within the step unhindered.
+    """Impact speed [m/s] for an implicit step.
 
-    From the rate in the middle with the acceleration along the normal: that of the speeds, and that
-    by which the path in between is curved. `flight`: the contact's indentation [m] at the start and
-    in the middle to which the start's speeds lead, and there the rate [m/s] of the start's speeds
-    and what half a step without contact adds to it.
+    In contact it is unchanged; of a contact that is apart it is the speed with which it would touch
+    within the step unhindered: that in the middle, with the acceleration along the normal from the
+    speeds and from the curvature of the path.
+
+    Args:
+        speed: at the start of the step [m/s].
+        flight: indentation [m] at the start, and in the middle to which the start's speeds
+            lead; its
+            rate there [m/s], and what half a step without contact adds to it.
+        length: of the step [s].
     """
     depth, middle, approach, gain = flight
     mean = approach + gain
@@ -222,10 +246,17 @@ def put_right(
     motions: tuple[ContactMotion, ContactMotion],
     step: tuple[Any, Stages],
 ) -> State:
-    """The state after a step with deflections for the time in contact. `now`: (time [s], state)
-    there; `motions`: the contacts at both its ends; `step`: its length [s], and (nodes, weights) of
-    its stages. Derivatives of what is put right are left out: they follow the motion, not what
-    steps count."""
+    """The state after a step, with deflections corrected for the time in contact.
+
+    The correction is not differentiated: derivatives follow the motion, not the stages of a step.
+
+    Args:
+        formulation: whose slips move the deflections.
+        model: of the run.
+        now: time [s] and state at the end of the step.
+        motions: of the contacts at its start and end.
+        step: its length [s], and (nodes, weights) of its stages.
+    """
     _, state = now
     model, now, (before, after), length = constant((model, now, motions, step[0]))
     changed = (before.depths < 0) != (after.depths < 0)
@@ -238,12 +269,12 @@ def put_right(
         amiss = length * (share - jnp.asarray(weights) @ early)
         # Of a touch the time before it is apart, of a release it is in contact.
         amiss = jnp.where(changed, jnp.where(after.depths < 0, amiss, -amiss), 0.0)
-        return _moves(model, now[1], formulation.slips(model, *now), amiss)
+        return _state_corrections(model, now[1], formulation.slips(model, *now), amiss)
 
     return state + apply_if(jnp.any(changed), solve, jnp.zeros_like(now[1]))
 
 
-def _moves(model: Model, state: State, slips: Any, amiss: Any) -> Any:
+def _state_corrections(model: Model, state: State, slips: Any, amiss: Any) -> Any:
     """What entries of the state lack where each contact was closed for a time [s] longer."""
     entries, place, k = [0.0] * len(state), model.layout.memory_start, 0
     memories = unpack_memories(model.layout, model.entries(state))

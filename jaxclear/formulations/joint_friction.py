@@ -67,12 +67,20 @@ def _carried(joints, response: FrictionResponse) -> Callable:
 def set_valued_friction(
     fixed, slips, before, ahead, h, mass, response: FrictionResponse
 ) -> JointFriction:
-    """Coulomb's law at the end of a step of length h [s]; `slips` of each joint, `before` and
-    `ahead`: by how much the speeds at the step's start, and those at its end without friction,
-    differ from those at which they were read.
+    """Coulomb's law in ideal joints at the end of a step, as a problem for their friction.
 
     A joint that slides is held back by kinetic friction, and caught by static friction where it
-    would turn round.
+    would reverse.
+
+    Args:
+        fixed: joints that touch all the time.
+        slips: rates of sliding of each.
+        before, ahead: changes from the speeds at which slips were read to those at the step's
+            start, and
+            to those at its end without friction.
+        h: length of the step [s].
+        mass: of the mechanism, scale of what counts as immovable [kg].
+        response: of the mechanism to friction.
     """
     ratios: list[Any] = []
     for joint, sliding in zip((one.joint for one in fixed), slips, strict=True):
@@ -111,10 +119,19 @@ def with_rows_of_loads(
     ahead: list,
     h: Any,
 ) -> JointFriction:
-    """The problem with loads whose force the step finds behind the joints; `before` and `ahead`: by
-    how much the speeds at the start of a step of length h [s], and those at its end without
-    friction and these loads, differ from those at which the loads were read. What runs into a stop
-    in the step goes back at its end with the share of its speed that the stop gives back."""
+    """The friction problem with loads whose force the step solves for, behind the joints.
+
+    What runs into a stop in the step goes back at its end with the stop's share of its speed.
+
+    Args:
+        problem: of the joints' friction.
+        loads: stops and dry friction in the step.
+        response: of the mechanism to friction and these loads.
+        before, ahead: changes from the speeds at which loads were read to those at the step's
+            start, and
+            to those at its end without friction and these loads.
+        h: length of the step [s].
+    """
     free = [rate.at(ahead) for rate in loads.rates]
     moves = [
         [h * along(rate.row, unit.accelerations) for unit in response.units] for rate in loads.rates
@@ -150,11 +167,21 @@ def with_rows_of_loads(
 def moved_to_stops(
     loads: LoadsInStep, beyond: list, response: FrictionResponse, forces: list, h: Any
 ) -> tuple[list, Any]:
-    """Where coordinates that are so far `beyond` stops [rad, m] at the end of a step of length h
-    [s] are moved, in the metric of the masses, so that those that rigid stops have pressed with
-    these `forces` [N m, N] touch them; of one with a stiffness as far beyond as that gives way
-    under what presses all the time: the way in terms of speeds, and the energy [J] that this took
-    out."""
+    """Projection of coordinates onto the stops beyond which they are, in the metric of the masses.
+
+    Rigid stops that have pressed are touched; stiff ones stay as far beyond as their steady load
+    deflects them.
+
+    Args:
+        loads: stops in the step.
+        beyond: how far coordinates are beyond each stop at its end [rad, m].
+        response: of the mechanism to the loads.
+        forces: with which stops have pressed [N m, N].
+        h: length of the step [s].
+
+    Returns:
+        The change of coordinates in terms of speeds; the energy [J] that it took out.
+    """
     units = response.units[len(response.units) - len(loads.rates) :]
     rows = [stop.opening.row for stop in loads.stops]
     free = response.without.accelerations
@@ -179,8 +206,15 @@ def moved_to_stops(
 
 
 def regularised_friction(fixed, speeds, response: FrictionResponse) -> JointFriction:
-    """Laws that are functions of the sliding speed, here at the middle of the step: friction's
-    share of the load is known, and a box without width holds it there.
+    """Friction laws that are functions of the sliding speed, as a problem with known shares.
+
+    Args:
+        fixed: joints that touch all the time.
+        speeds: sliding speed of each, in the middle of the step [m/s].
+        response: of the mechanism to friction.
+
+    Raises:
+        ValueError: a law is set-valued or has bristles.
     """
     ratios: list[Any] = []
     for one, speed in zip(fixed, speeds, strict=True):
@@ -226,8 +260,15 @@ class Rubbing(NamedTuple):
 
 
 def rubbing(model: Model, forces: Forces, q: tuple) -> Rubbing:
-    """The friction of ideal joints under these forces, at coordinates `q`.
-    It is no number where friction and reactions drive each other up without end (self-locking)."""
+    """Friction of ideal joints with the accelerations and reactions that it causes.
+
+    It is nan where friction and reactions increase each other without end (self-locking).
+
+    Args:
+        model: of the run.
+        forces: all that acts but this friction.
+        q: coordinates, a tuple for each link.
+    """
     system = model.system
     fixed = touching(system)
     slips = [sliding_speeds(system, forces.motions, one) for one in fixed]
@@ -242,8 +283,16 @@ def rubbing(model: Model, forces: Forces, q: tuple) -> Rubbing:
 
 
 def solved(model: Model, forces: Forces, q: tuple) -> tuple[Forces, Solution, Passive]:
-    """(what acts, accelerations, what joints that rub wear and lose): the equations of motion
-    solved, friction of ideal joints included."""
+    """The equations of motion solved, with the friction of ideal joints.
+
+    Args:
+        model: of the run.
+        forces: all that acts but this friction.
+        q: coordinates, a tuple for each link.
+
+    Returns:
+        Forces with the friction, accelerations, and wear and losses of joints that rub.
+    """
     fixed = touching(model.system)
     if not fixed:
         solution = dynamics.forward_dynamics(model.system, forces, model.stabilisation)
@@ -256,8 +305,16 @@ def solved(model: Model, forces: Forces, q: tuple) -> tuple[Forces, Solution, Pa
 def passive_of(
     model: Model, forces: Forces, q: tuple, answer: Answer, friction: Any, slips: list
 ) -> Passive:
-    """What joints that rub wear, lose and press with, by their reactions and friction [N] at these
-    sliding speeds [m/s]."""
+    """Wear rates, losses and normal forces of ideal joints that rub.
+
+    Args:
+        model: of the run.
+        forces: with the motions at which they act.
+        q: coordinates, a tuple for each link.
+        answer: reactions of the joints.
+        friction: components in all joints [N].
+        slips: sliding speeds of these components [m/s].
+    """
     fixed = touching(model.system)
     ends = ends_that_wear(model.system, answer, friction)
     rates = wear_rates(model, forces.motions, q, ends, slips)
@@ -268,8 +325,13 @@ def passive_of(
 
 
 def friction_losses(fixed: tuple[PermanentJoint, ...], friction: Any, slips: list) -> tuple:
-    """(power [W] lost to friction [N] in joints that slide at these speeds [m/s], the part of it
-    that drives give)."""
+    """(power lost to friction, the part of it that drives supply) [W].
+
+    Args:
+        fixed: joints that touch all the time.
+        friction: components in all joints [N].
+        slips: sliding speeds of these components [m/s].
+    """
     powers = [sp.neg(sp.mul(friction[k], slip)) for k, slip in enumerate(slips)]
     places = zip(fixed, placed(fixed), strict=True)
     driven = [powers[place.start] for one, place in places if one.driven]
@@ -277,7 +339,13 @@ def friction_losses(fixed: tuple[PermanentJoint, ...], friction: Any, slips: lis
 
 
 def contact(instant: Instant, forces: Forces, name: str) -> ContactReport:
-    """How an ideal joint rubs at an instant, under the `forces` without its friction."""
+    """Contact report of an ideal joint that rubs.
+
+    Args:
+        instant: at which it is read.
+        forces: all that acts but the friction of ideal joints.
+        name: of the joint.
+    """
     result = rubbing(instant.model, forces, instant.q)
     joints = touching(instant.model.system)
     places = placed(joints)

@@ -229,12 +229,19 @@ def contact_at_start(
     memory: PointState,
     past: tuple[PastSlip, ...],
 ) -> tuple[tuple, Outset]:
-    """What a contact with which a step begins is but its averaging and laws, and from where it sets
-    out. `indentation`: in the middle
-    to which the speeds at the start lead; `past`: what the last step has handed on.
+    """The laws of a contact as a step begins, and where its iteration sets out.
 
     From the middle of the last step to that of this one a sliding direction has turned; until the
     end of this one it turns half as far again.
+
+    Args:
+        averaging: length of the step and bias.
+        laws: of the contact.
+        indentation: in the middle to which the speeds at the start lead [m].
+        rows: of the contact: the normal one, then the sliding directions.
+        depth: indentation at the start [m].
+        memory: impact speed and bristles.
+        past: slip that the step before handed on, for each sliding direction.
     """
     (normal, *across), length = rows, averaging.length
     if memory.impact_speed is not None:
@@ -285,8 +292,14 @@ class SpringOverStep(NamedTuple):
 def springs_over_step(
     model: Model, free_motion: FreeMotion, back: list, averaging: Averaging
 ) -> tuple[tuple[SpringOverStep, ...], FreeMotion]:
-    """The couplings with stiffness over a step, and the free motion without them; `back`: by how
-    much the speeds at its start differ from those in its middle."""
+    """Couplings with stiffness over a step, and the free motion without them.
+
+    Args:
+        model: of the run.
+        free_motion: equations of motion in the middle of the step.
+        back: change from the speeds in its middle to those at its start.
+        averaging: length of the step and bias.
+    """
     system, forces = model.system, free_motion.forces
     result, right = [], list(free_motion.right)
     for name, train in system.transmissions.items():

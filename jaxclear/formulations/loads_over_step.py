@@ -76,7 +76,13 @@ class SolvedLoad(NamedTuple):
     def reading(
         self, system: System, motions: tuple[Motion, ...], followed: Followed
     ) -> tuple[Any, Direction]:
-        """The coordinate [rad, m], and the direction of a force along it."""
+        """The coordinate [rad, m] on which the load acts, and the direction of a force along it.
+
+        Args:
+            system: prepared mechanism, as `prepare` returns it.
+            motions: motion of every link at one instant, in the order of `system.links`.
+            followed: angles over whole turns of joints outside the tree.
+        """
         if self.load is not None:
             position, _, direction = read_coordinate(system, motions, self.on, followed)
             return position, direction
@@ -87,7 +93,15 @@ class SolvedLoad(NamedTuple):
     def friction(
         self, system: System, motions: tuple[Motion, ...], time: Any, followed: Followed
     ) -> Any:
-        """Its largest dry friction [N m, N]."""
+        """Largest dry friction of the load [N m, N].
+
+        Args:
+            system: prepared mechanism, as `prepare` returns it.
+            motions: motion of every link, for the force that presses it.
+            time: instant [s].
+            followed: what the state integrates beside the motion: whole-turn angles, load
+                states, flanks.
+        """
         load: Any = self.load
         return value_at(as_pressed(system, motions, load, time, followed).dry_friction(), time)
 
@@ -103,9 +117,16 @@ def with_solved_loads(system: System) -> System:
 
 
 def check_solved_loads(mechanism: Mechanism, integrator: str, seated: bool) -> None:
-    """Raises `ValueError` for a load whose force steps find, and which they would not ask for what
-    its class adds, or for one that is pressed by what has no force at an instant; whether plays are
-    `seated`, or rigid."""
+    """Raises `ValueError` for a load whose force the integrator's steps cannot solve for.
+
+    Such is one with an `effect` of its own beside stops or dry friction, and one that is pressed by
+    what has no force at an instant.
+
+    Args:
+        mechanism: with its loads.
+        integrator: name in the message.
+        seated: whether plays count as seated; else their flanks are rigid.
+    """
     for name, load in mechanism.loads.items():
         if not isinstance(load, AbstractStateLoad):
             continue
@@ -179,7 +200,13 @@ def play_of(name: str) -> str:
 
 
 def with_loads(system: System, forces: Forces, solved_forces: dict[str, Any]) -> Forces:
-    """The forces with those of loads that steps solve for [N m, N], by name."""
+    """The forces with those of loads that a step has solved for.
+
+    Args:
+        system: with the loads.
+        forces: without them.
+        solved_forces: by load [N m, N].
+    """
     every = solved_loads(system)
     if not every:
         return forces
@@ -273,7 +300,15 @@ NO_LOADS = LoadsInStep((), ())
 def loads_in_step(
     system: System, motions: tuple[Motion, ...], time: Any, followed: Followed
 ) -> LoadsInStep:
-    """The loads as a step finds their coordinates."""
+    """Stops and dry friction of loads, read in the middle of a step.
+
+    Args:
+        system: prepared mechanism, as `prepare` returns it.
+        motions: motion of every link at one instant, in the order of `system.links`.
+        time: instant [s].
+        followed: what the state integrates beside the motion: whole-turn angles, load states,
+            flanks.
+    """
     stops: list[StopInStep] = []
     rubs: list[RubInStep] = []
     for name, solved in solved_loads(system).items():
@@ -289,8 +324,14 @@ def loads_in_step(
 
 
 def beyond_stops(model: Model, time: Any, entries: list, followed: Followed) -> list:
-    """How far coordinates are beyond the sides of stops [rad, m] at coordinates and speeds, one
-    after the other."""
+    """How far coordinates are beyond each side of each stop [rad, m].
+
+    Args:
+        model: of the run.
+        time: instant [s] of the drives.
+        entries: coordinates and speeds, one after the other.
+        followed: angles over whole turns of joints outside the tree.
+    """
     motions = kinematics.link_motions(model.system, *unpack_motion(model.system, entries), time)
     depths = []
     for solved in solved_loads(model.system).values():

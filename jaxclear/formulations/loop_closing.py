@@ -56,7 +56,7 @@ def closed(model: Model, time: Any, state: State, length: Any = None) -> State:
     depend = constraints.dependence(system, result)
     _, constrain = dynamics.constrained_inverse(masses, rows, same, depend)
 
-    fast = None if length is None else MOST * safe_sqrt(_squared(masses, v))
+    fast = None if length is None else MOST * safe_sqrt(_squared_norm(masses, v))
 
     def change(residuals, time):
         """The least that closes them, as far as it is below what is made at the speeds in such a
@@ -78,7 +78,7 @@ def closed(model: Model, time: Any, state: State, length: Any = None) -> State:
     return sp.stack([*q, *v, *entries[layout.memory_start :]])
 
 
-def _squared(masses: list, v: list) -> Any:
+def _squared_norm(masses: list, v: list) -> Any:
     """The square of speeds in the metric of the masses, twice their kinetic energy [J]."""
     result, first = [], 0
     for mass in masses:

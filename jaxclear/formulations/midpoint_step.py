@@ -193,10 +193,16 @@ class Step(NamedTuple):
 def step(
     model: Model, time_step: TimeStep, entries: list, last: WarmStart, bias: Any, iterations: int
 ) -> tuple[list, WarmStart, list]:
-    """Entries of the state after the step, what it hands on but for normal forces, and where some
-    contact damps (depth, rate) of each as the step begins; `last` is what it was handed, `bias`
-    that of the mean forces towards the step's end, `iterations` those of Newton's method on the
-    contact laws."""
+    """One implicit step: entries of the state after it, and its warm start for the next.
+
+    Args:
+        model: of the run.
+        time_step: start and length [s].
+        entries: of the state before it.
+        last: warm start of the step before.
+        bias: of mean forces towards the step's end [1].
+        iterations: of Newton's method on the contact laws.
+    """
     h = time_step.length
     averaging, model = Averaging(h, bias), without_films(model)
     accelerations = sp.each(lambda a, b: a + b, last.smooth, last.contact)
@@ -254,10 +260,17 @@ def step(
 
 
 def surplus(bias: Any, free: list, caused: list) -> list:
-    """By how much faster than its speeds places go at the end of a step, for each second of it:
-    b k_c / 2 of what contact `caused`, but of no more than it has to hold of the `free`
-    accelerations: an impact's speeds are what they are. Of what rests on a contact it is, times the
-    step, all of its speed, of opposite sign, to which a law would answer with damping."""
+    """By how much faster than their speeds places move at a step's end, per second of the step.
+
+    It is b k_c / 2, with k_c bounded by the free accelerations, as speeds in an impact are what
+    they are. For what rests on a contact it is, times the step, all of the speed, with opposite
+    sign, to which a law would respond with damping.
+
+    Args:
+        bias: b, of mean forces towards the step's end [1].
+        free: accelerations without contact.
+        caused: k_c, accelerations by contact.
+    """
     many = len(free) >= MANY
     square = lambda vector: jnp.sum(sp.stack(vector) ** 2) if many else sum(k * k for k in vector)
     squares = [square(vector) for vector in (free, caused)]

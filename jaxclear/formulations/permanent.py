@@ -237,7 +237,7 @@ class PermanentContact(AbstractFormulation):
         sliding = [slip.at(change) for joint in slips for slip in joint]
         ends = ends_that_wear(system, answer, friction)
         centres = centres_of(system, ends)
-        centre_rates = _rates_of(centres, last[len(v) : -1], h)
+        centre_rates = _velocities_of_centres(centres, last[len(v) : -1], h)
         worn = wear_rates(model, motions, motion[0], ends, sliding, centre_rates)
         means: list = []
         for one, reaction, place in zip(joints, answer.reactions, placed(joints), strict=True):
@@ -270,7 +270,14 @@ class PermanentContact(AbstractFormulation):
 
 
 def displace(system: System, q: list, speeds: list, h: Any) -> list:
-    """Coordinates after speeds have been held for `h` [s], by the joints' exponential maps."""
+    """Coordinates after constant speeds, by the joints' exponential maps.
+
+    Args:
+        system: with the joints.
+        q: coordinates, scalars.
+        speeds: scalars.
+        h: time [s].
+    """
     out: list[Any] = []
     for link, place, v in zip(system.links, *unpack_motion(system, [*q, *speeds]), strict=True):
         if place:
@@ -278,7 +285,7 @@ def displace(system: System, q: list, speeds: list, h: Any) -> list:
     return out
 
 
-def _rates_of(centres: Centres, before: Any, h: Any) -> Centres:
+def _velocities_of_centres(centres: Centres, before: Any, h: Any) -> Centres:
     """How fast the centres have moved since a step before [m/s], where they were known then."""
     rates: Centres = {}
     start = 0

@@ -76,9 +76,14 @@ def joint_part(values: Any, place: slice) -> Any:
 
 
 def slid(joint: AbstractRubbingJoint, slip: Any, place: sp.Vec, centre: sp.Vec = sp.ZERO) -> Any:
-    """Sliding speed [m/s] at a contact, whose normal is towards the `place`, for the joint's `slip`
-    (of a ball that of its surface, by the angular velocity) and the speed of the inner part's
-    `centre` in the gap."""
+    """Sliding speed [m/s] at a contact of a joint that always touches.
+
+    Args:
+        joint: ideal joint that rubs.
+        slip: sliding speed of the joint [m/s]; of a ball that of its surface, a vector.
+        place: of the contact, towards which the normal points [m].
+        centre: velocity of the inner part's centre in the gap [m/s].
+    """
     still = all(sp.is_zero(x) for x in centre)
     if joint.components == 1 and still:
         return jnp.abs(slip)
@@ -93,7 +98,7 @@ def slid(joint: AbstractRubbingJoint, slip: Any, place: sp.Vec, centre: sp.Vec =
     return sp.norm(sp.minus(surface, sp.scale(sp.dot(surface, normal), normal)))
 
 
-def _turn(system: System, motions: tuple, joint: PermanentJoint) -> sp.Mat:
+def _rotation_to_parent(system: System, motions: tuple, joint: PermanentJoint) -> sp.Mat:
     """From the speeds of a ball of the tree to its angular velocity in the parent marker's axes."""
     if system.topology.branches[joint.link].reversed:
         return tuple(tuple(sp.neg(x) for x in row) for row in sp.IDENTITY)
@@ -101,15 +106,28 @@ def _turn(system: System, motions: tuple, joint: PermanentJoint) -> sp.Mat:
 
 
 def joint_pose(system: System, motions: tuple, joint: PermanentJoint) -> Pose:
-    """Pose of the outer marker of a joint of the tree in the inner one."""
+    """Pose of the outer marker of a joint of the tree in the inner one.
+
+    Args:
+        system: with the links.
+        motions: motion of every link at one instant, in the order of `system.links`.
+        joint: of the tree.
+    """
     return system.links[joint.link].base.inverse().after(motions[joint.link].relative)
 
 
 def sliding_directions(
     system: System, motions: tuple, pair: PermanentJoint
 ) -> tuple[Direction, ...]:
-    """Those of the components of a joint's friction [N]: they move at its sliding speed [m/s], of a
-    ball that of its surface by the angular velocity in the parent marker's axes."""
+    """Direction of each component of a joint's friction, which moves at its sliding speed [m/s].
+
+    Those of a ball are axes of the parent marker, at the speed of its surface.
+
+    Args:
+        system: prepared mechanism, as `prepare` returns it.
+        motions: motion of every link at one instant, in the order of `system.links`.
+        pair: joint that always touches.
+    """
     joint, link, name = pair.joint, pair.link, pair.name
     if pair.loop is not None:
         closure = system.closures[pair.loop]
@@ -119,25 +137,42 @@ def sliding_directions(
         return tuple(Direction((OnClosure(closure, pose, each, name),)) for each in wrenches)
     if joint.components == 1:
         return (Direction((OnLink(link, joint.arm),)),)
-    turn = _turn(system, motions, pair)
+    turn = _rotation_to_parent(system, motions, pair)
     parts = [[OnLink(link, sp.mul(joint.arm, x), j) for j, x in enumerate(row)] for row in turn]
     return tuple(Direction(tuple(each)) for each in parts)
 
 
 def sliding_rates(system: System, motions: tuple, joint: PermanentJoint) -> tuple[LinearRate, ...]:
-    """Components of a joint's sliding speed [m/s]."""
+    """Components of a joint's sliding speed [m/s], with their Jacobian rows.
+
+    Args:
+        system: prepared mechanism, as `prepare` returns it.
+        motions: motion of every link at one instant, in the order of `system.links`.
+        joint: that always touches.
+    """
     directions = sliding_directions(system, motions, joint)
     return tuple(each.linear_rate(system, motions) for each in directions)
 
 
 def sliding_speeds(system: System, motions: tuple, joint: PermanentJoint) -> list:
-    """Components of a joint's sliding speed [m/s] as the links move."""
+    """Components of a joint's sliding speed [m/s].
+
+    Args:
+        system: prepared mechanism, as `prepare` returns it.
+        motions: motion of every link at one instant, in the order of `system.links`.
+        joint: that always touches.
+    """
     return [each.rate(motions) for each in sliding_directions(system, motions, joint)]
 
 
 def with_friction(system: System, forces: Forces, friction: Any) -> Forces:
-    """The forces, with friction [N] added in each joint that touches, in the order of
-    `touching`."""
+    """The forces with friction in every joint that always touches.
+
+    Args:
+        system: with the joints, in the order of `touching`.
+        forces: without friction.
+        friction: components in all joints [N].
+    """
     rows, joints = [], touching(system)
     for joint, place in zip(joints, placed(joints), strict=True):
         # What friction does to a joint that a drive moves, the drive takes.
@@ -187,8 +222,14 @@ class FrictionResponse(NamedTuple):
 def friction_response(
     model: Model, forces: Forces, q: tuple, loads: LoadsInStep = NO_LOADS
 ) -> FrictionResponse:
-    """How the mechanism answers friction [N] in its touching joints, then forces of `loads` along
-    their rows, at coordinates `q`."""
+    """Accelerations and reactions as linear functions of friction and of loads' forces.
+
+    Args:
+        model: of the run.
+        forces: all that acts but these.
+        q: coordinates, a tuple for each link.
+        loads: whose forces follow the friction, along their rows.
+    """
     joints = touching(model.system)
     count = sum(one.joint.components for one in joints)
     rest = jnp.zeros(count + len(loads.rates))
@@ -207,8 +248,15 @@ def friction_response(
 def answer_to(
     system: System, forces: Forces, q: tuple, touching_joints: tuple, solution: Solution
 ) -> Answer:
-    """The accelerations of a solution, with the reactions of joints that touch under the forces
-    that have caused it, at coordinates `q`."""
+    """Accelerations, multipliers, and reactions of the joints that touch.
+
+    Args:
+        system: prepared mechanism, as `prepare` returns it.
+        forces: that cause the solution.
+        q: coordinates, a tuple for each link.
+        touching_joints: whose reactions are computed.
+        solution: accelerations and multipliers.
+    """
     acting = dynamics.with_closures(system, forces, solution)
     wrenches = dynamics.joint_wrenches(system, acting, solution)
     closing = acting.rows[len(forces.rows) :]
@@ -223,8 +271,14 @@ def answer_to(
 
 
 def reaction_of_link(system, joint, motions, q, wrench) -> Reaction:
-    """From the wrench that a link receives to the reaction on the connection's child in the parent
-    marker's axes.
+    """Reaction on a connection's child in the parent marker's axes, for a joint of the tree.
+
+    Args:
+        system: with the links.
+        joint: that always touches.
+        motions: motion of every link.
+        q: coordinates, a tuple for each link.
+        wrench: that the link receives through the joint, in the link's frame.
     """
     branch = system.topology.branches[joint.link]
     if joint.driven:
@@ -237,9 +291,14 @@ def reaction_of_link(system, joint, motions, q, wrench) -> Reaction:
 def reaction_through(
     pose: Pose, is_reversed: bool, wrench: Wrench, turn: sp.Mat = FLIP
 ) -> Reaction:
-    """Reaction on a connection's child, from the wrench that a link receives through its joint and
-    the joint's pose; `is_reversed`: the tree goes through it from its child to its parent, both
-    markers turned by `turn`."""
+    """Reaction on a connection's child in the parent marker's axes.
+
+    Args:
+        pose: of the joint.
+        is_reversed: whether the tree goes through it from its child to its parent.
+        wrench: that the link receives through the joint, in the link's frame.
+        turn: rotation between marker and link frame of a reversed joint.
+    """
     if not is_reversed:
         return Reaction(
             sp.apply(pose.rotation, wrench.force), sp.apply(pose.rotation, wrench.torque)
@@ -271,9 +330,18 @@ def check_unique(system: System) -> None:
 def reactions_without_motion(
     system: System, motions: tuple, q: tuple, joints: tuple[PermanentJoint, ...], in_space: bool
 ) -> list[tuple[Reaction, ...]]:
-    """For each row of a loop that no motion changes: the reactions of joints that touch to the
-    force 1 [N, N m] in it, which is in equilibrium with itself. Unless bodies are `in_space`, those
-    alone that are no plain zeros: nothing else is loaded across the plane."""
+    """Reactions in equilibrium with each other, for each row of a loop that no motion changes.
+
+    They are those of a force 1 [N, N m] in the row.
+
+    Args:
+        system: prepared mechanism, as `prepare` returns it.
+        motions: motion of every link at one instant, in the order of `system.links`.
+        q: coordinates, a tuple for each link.
+        joints: whose reactions are computed.
+        in_space: whether bodies move in space; in the plane, rows that are structurally 0 are
+            unloaded.
+    """
     answers = []
     for k, closure in enumerate(system.closures):
         rows = constraints.constraint_rows(system, motions, closure)

@@ -36,15 +36,21 @@ from jaxclear.multibody.system import System
 def carrying_ends(
     joint: PermanentJoint, reaction: Reaction, friction: Any
 ) -> tuple[CarryingEnd, ...]:
-    """Where a reaction and friction [N] (of a ball three components) are carried."""
+    """Where a joint carries its reaction and friction: its ends with their contacts.
+
+    Args:
+        joint: that always touches.
+        reaction: on its child, in the parent marker's axes.
+        friction: [N]; of a ball three components.
+    """
     if joint.joint.components > 1:
         none = (0.0,) * joint.joint.components
         load = carried_load(joint.joint.carrying_ends(*reaction, none))
         return joint.joint.carrying_ends(*reaction, tuple(safe_divide(x, load) for x in friction))
-    return joint.joint.carrying_ends(*reaction, _share(joint, reaction, friction))
+    return joint.joint.carrying_ends(*reaction, _friction_share(joint, reaction, friction))
 
 
-def _share(joint: PermanentJoint, reaction: Reaction, friction: Any) -> Any:
+def _friction_share(joint: PermanentJoint, reaction: Reaction, friction: Any) -> Any:
     """Friction beside the load that it adds to: two turns, and where they lead (Steffensen's
     extrapolation; the load is linear in the share until an end changes its side)."""
     if joint.joint.friction is None:
@@ -61,7 +67,13 @@ def _share(joint: PermanentJoint, reaction: Reaction, friction: Any) -> Any:
 
 
 def pressing(joint: PermanentJoint, reaction: Reaction, friction: Any) -> Any:
-    """Sum of the normal forces [N] of a joint's contacts."""
+    """Sum of the normal forces [N] of a joint's contacts; 0 where a film carries.
+
+    Args:
+        joint: that always touches.
+        reaction: on its child, in the parent marker's axes.
+        friction: [N]; of a ball three components.
+    """
     ends = carrying_ends(joint, reaction, friction)
     if joint.joint.gap_load(joint.name) is not None:
         return 0.0 * jnp.asarray(sp.total(reaction.force))
@@ -71,8 +83,15 @@ def pressing(joint: PermanentJoint, reaction: Reaction, friction: Any) -> Any:
 def moved_in_films(
     model: Model, motions: tuple, followed: Followed, reactions: tuple[Reaction, ...], h: Any
 ) -> dict[int, Any]:
-    """States of journals on films after a step of `h` [s] under the mean reactions of joints that
-    touch, by their place in the state."""
+    """States of journals on films after a step, by index in the state.
+
+    Args:
+        model: of the run.
+        motions: motion of every link, in the middle of the step.
+        followed: states of the films before.
+        reactions: mean, of the joints that touch.
+        h: length of the step [s].
+    """
     system, result = model.system, dict[int, Any]()
     for fixed, reaction in zip(touching(system), reactions, strict=True):
         name = film_of(fixed.name)
@@ -111,7 +130,14 @@ def report_of_means(instant: Instant, name: str) -> ContactReport:
 def report(
     instant: Instant, fixed: PermanentJoint, reaction: Reaction, friction: tuple
 ) -> ContactReport:
-    """How a joint carries its reaction and the components of its friction [N] at an instant."""
+    """Contact report of a joint that always touches.
+
+    Args:
+        instant: at which it is read.
+        fixed: the joint.
+        reaction: on its child, in the parent marker's axes.
+        friction: its components [N].
+    """
     joint = fixed.joint
     ends = carrying_ends(fixed, reaction, joint_part(friction, slice(0, len(friction))))
     result = sorted((c for end in ends for c in end.contacts), key=lambda c: c.number)

@@ -31,7 +31,13 @@ Centres = dict[str, list[sp.Vec]]
 
 
 def ends_that_wear(system: System, answer: Answer, friction: Any) -> Ends:
-    """Where the joints that wear carry their reactions, by joint."""
+    """Where joints that wear carry their reactions, by joint.
+
+    Args:
+        system: with the joints.
+        answer: reactions of the joints that touch.
+        friction: components in all joints [N].
+    """
     joints = touching(system)
     parts = zip(joints, answer.reactions, placed(joints), strict=True)
     return {
@@ -64,9 +70,16 @@ def wear_rates(
     slips: list,
     centres: Centres | None = None,
 ) -> list:
-    """Rates of the worn volumes and of their volume-weighted locations, in the layout's order, at
-    coordinates `q`; the joints carry at these ends and slide at the speeds `slips` [m/s], and where
-    their parts' `centres` move in the gap, by that too. Nothing where nothing wears."""
+    """Rates of worn volumes and of their volume-weighted locations, in the layout's order.
+
+    Args:
+        model: of the run.
+        motions: motion of every link at one instant, in the order of `system.links`.
+        q: coordinates, a tuple for each link.
+        carrying: ends at which the joints carry, by joint.
+        slips: sliding speeds of the components of all joints [m/s].
+        centres: velocities of the parts' centres in the gap [m/s], by joint; None: at rest.
+    """
     system, rates = model.system, []
     at = {fixed.name: k for k, fixed in enumerate(touching(system))}
     places = placed(touching(system))

@@ -78,7 +78,14 @@ class JointOverStep(NamedTuple):
 def joints_over_step(
     model: Model, middle: MiddleOfStep, reactions: tuple[Reaction, ...], averaging: Averaging
 ) -> tuple[JointOverStep, ...]:
-    """The joints with which a step begins that were under these reactions in the last."""
+    """Ideal joints that rub, as a step begins.
+
+    Args:
+        model: of the run.
+        middle: of the step.
+        reactions: of these joints in the step before.
+        averaging: length of the step and bias.
+    """
     diagonal = middle.free_motion.diagonal
     system, motions = model.system, middle.free_motion.forces.motions
     result = []
@@ -117,10 +124,20 @@ def rubbed(
     rubs: list,
     change: list,
 ) -> tuple[Passive, tuple[Reaction, ...], Forces]:
-    """(what the joints wear and lose over a step, their reactions in it, the forces with their
-    friction) under the `forces` of contacts and loads, with these accelerations; `rubs`: friction
-    of every component [N], `change`: by how much the mean speeds differ from those in the
-    middle."""
+    """What joints that rub do in a step.
+
+    Args:
+        model: of the run.
+        joints: over the step.
+        forces: of contacts and loads.
+        middle: of the step.
+        total: accelerations and multipliers of the step.
+        rubs: friction of every component [N].
+        change: from the speeds in the middle to the mean ones.
+
+    Returns:
+        Wear and losses, the joints' reactions, and the forces with their friction.
+    """
     system = model.system
     fixed = touching(system)
     q = unpack_motion(system, [*middle.halfway, *middle.predicted])[0]

@@ -105,7 +105,14 @@ def as_reactions(numbers: Array) -> tuple[Reaction, ...]:
 def searched(
     search: Search, respond: Callable, start: Array, settings: MoreauJeanSettings
 ) -> tuple[Array, Any]:
-    """(impulses along all rows [N s], residual of the laws relative to the largest velocity)."""
+    """(impulses along all rows [N s], residual of the laws relative to the largest velocity).
+
+    Args:
+        search: contacts, joints and loads of the step.
+        respond: function from mean forces [N] to the joints' reactions.
+        start: impulses at which the iteration begins [N s].
+        settings: of the solver.
+    """
     h = search.h
     if not search.joints:
         problem, guess, back = _problem(search, as_reactions(respond(start / h)), start)
@@ -266,9 +273,19 @@ def percussions_and_friction(
     h: Any,
     settings: MoreauJeanSettings,
 ) -> tuple[Percussions, Rubbed]:
-    """Percussions of a step of length h [s], and what joints that touch all the time do, and loads
-    that rub; searched from the `last` ones: percussions of contacts in their own directions, then
-    friction of every component of every joint, then of every load."""
+    """Percussions of contacts in a step, with friction of joints and loads.
+
+    Args:
+        model: of the run.
+        middle: of the step.
+        contacts: as percussions see them.
+        joints: that always touch.
+        loads: stops and dry friction.
+        delassus: operator from impulses to velocities along all rows.
+        last: percussions of contacts, friction of joints and of loads in the step before.
+        h: length of the step [s].
+        settings: of the solver.
+    """
     respond = _reactions(model, middle, contacts, joints, loads, delassus)
     count = sum(1 + len(contact.shares) for contact in contacts)
     counts = [*(joint.pair.joint.components for joint in joints), len(loads.rubs)]
@@ -303,8 +320,15 @@ def springs_of(contacts: list[UnilateralContact]) -> tuple[tuple[int, int, Sprin
 def rubbed_over(
     model: Model, middle: MiddleOfStep, joints: list[JointInStep], rubbed: Rubbed, mean: list
 ) -> tuple[Passive, list]:
-    """What follows from what joints do in a step of these mean speeds: wear and losses, and the
-    components of the joints' forces that the state counts [N, N m]."""
+    """Wear and losses of joints in a step, and components of their forces that the state counts.
+
+    Args:
+        model: of the run.
+        middle: of the step.
+        joints: that always touch.
+        rubbed: their reactions and friction.
+        mean: mean speeds over the step.
+    """
     system, forces, friction = model.system, middle.free_motion.forces, rubbed.friction
     q = unpack_motion(system, [*middle.halfway, *middle.predicted])[0]
     change = middle.change_to(mean)

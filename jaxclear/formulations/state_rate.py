@@ -24,7 +24,12 @@ class Passive(NamedTuple):
 
 
 def coordinate_rates(system: System, q: tuple, v: tuple) -> list:
-    """Rates of the coordinates of all links, as the joints give them."""
+    """Rates of the coordinates of all links, scalars.
+
+    Args:
+        system: with the joints.
+        q, v: coordinates and speeds, a tuple for each link.
+    """
     rate = lambda joint, q, v: tuple(joint.rate(q, v))
     each = zip(system.links, q, v, strict=True)
     part = map_many(rate, [(link.joint, q, v) for link, q, v in each if q])
@@ -32,13 +37,27 @@ def coordinate_rates(system: System, q: tuple, v: tuple) -> list:
 
 
 def drift(system: System, start: list, at: list, speeds: list, h: Any) -> list:
-    """Coordinates a time `h` [s] after `start`, their rates taken `at` some coordinates."""
+    """Coordinates after a time at constant rates.
+
+    Args:
+        system: with the joints.
+        start: coordinates, scalars.
+        at: coordinates at which rates are taken.
+        speeds: scalars.
+        h: time [s].
+    """
     rates = coordinate_rates(system, *unpack_motion(system, [*at, *speeds]))
     return sp.each(lambda x, rate: x + h * rate, start, rates)
 
 
 def followed_rates(system: System, layout: Layout, forces: Forces) -> list:
-    """Rates of the angles that the state follows, and of states of loads and flanks."""
+    """Rates of the angles that the state follows, and of states of loads and flanks.
+
+    Args:
+        system: prepared mechanism, as `prepare` returns it.
+        layout: whose order the result has.
+        forces: with rates of states, by load or coupling.
+    """
     owners = dict.fromkeys(owner for owner, _ in layout.states)
     states = (rate for owner in owners for rate in forces.state_rates[owner])
     return [*angle_rates(system, layout, forces.motions), *states]
@@ -52,9 +71,19 @@ def passive_rates(
     rubbing: Passive = Passive(),
     pressing: Any = (),
 ) -> list:
-    """Rates of what only follows the motion: angles over whole turns and states of loads and
-    flanks, worn volumes with their locations, impulses of joints `pressing` with these forces [N],
-    and energies; those of ideal joints that rub as `rubbing` tells."""
+    """Rates of entries that only follow the motion, in the layout's order.
+
+    These are angles over whole turns, states of loads and flanks, worn volumes with their
+    locations, impulses and energies.
+
+    Args:
+        system: prepared mechanism, as `prepare` returns it.
+        layout: of the state array.
+        forces: with contact reports.
+        solution: accelerations and multipliers under these forces.
+        rubbing: wear and losses of ideal joints that rub.
+        pressing: forces whose impulses the state counts [N, N m].
+    """
     out: list[Any] = followed_rates(system, layout, forces)
     for slot in layout.wear:
         if slot.bearing not in system.bearings:
@@ -64,7 +93,7 @@ def passive_rates(
         volume, features = forces.reports[slot.bearing].wear_rates[slot.surface][order]
         out.append(volume)
         out.extend(sp.mul(volume, features[i]) for i in slot.averaged)
-    out.extend((*rubbing.worn, *_of_flanks(system, forces), *pressing, *rubbing.pressing))
+    out.extend((*rubbing.worn, *_wear_of_flanks(system, forces), *pressing, *rubbing.pressing))
     if layout.energies:
         powers = dict(zip(layout.energies, dynamics.powers(system, forces, solution), strict=True))
         powers["input"] = sp.add(powers["input"], rubbing.driven)
@@ -73,7 +102,7 @@ def passive_rates(
     return out
 
 
-def _of_flanks(system: System, forces: Forces) -> list:
+def _wear_of_flanks(system: System, forces: Forces) -> list:
     """Rates of the worn volumes of flanks of play."""
     result = []
     for name, play in flanks_that_wear(system).items():
@@ -84,6 +113,12 @@ def _of_flanks(system: System, forces: Forces) -> list:
 
 
 def link_accelerations(system: System, flat: Any, multipliers: tuple) -> Solution:
-    """Free accelerations, one after the other, as those of the links."""
+    """Free accelerations as those of the links.
+
+    Args:
+        system: with the branches.
+        flat: accelerations, one after the other.
+        multipliers: of the constraint rows.
+    """
     part = tuple(tuple(flat[branch.speeds]) for branch in system.topology.branches)
     return Solution(part, multipliers)

@@ -47,11 +47,14 @@ SIMULTANEOUS = 1e-6
 
 
 def put_off(strikes: Any, depths: Any, closing: Any, h: Any, joints: list[int]) -> Any:
-    """Which of the contacts that strike in a step of length h [s] wait for the next: all of a joint
-    but the first to touch.
+    """Which contacts that strike in a step wait for the next: all but the first of a joint.
 
-    `depths`, `closing`: their indentations [m] and their rates [m/s] in the middle of the step;
-    `joints`: how many contacts each joint has.
+    Args:
+        strikes: which contacts strike.
+        depths: indentations in the middle of the step [m].
+        closing: their rates [m/s].
+        h: length of the step [s].
+        joints: number of contacts of each joint.
     """
     since = jnp.where(strikes, safe_divide(depths, closing), -jnp.inf)
     each = split([since[i] for i in range(sum(joints))], joints)
@@ -122,8 +125,13 @@ class Percussions(NamedTuple):
 def unilateral_contacts(
     points: tuple[ContactPoint, ...], joints: list[str], last: list
 ) -> list[UnilateralContact]:
-    """Every possible contact as percussions see it: the joint of each, and percussions of the step
-    before in the state's order."""
+    """Every possible contact as percussions see it.
+
+    Args:
+        points: contacts in the middle of the step.
+        joints: name of the joint of each.
+        last: percussions of the step before, in the state's order.
+    """
     contacts, first = [], 0
     for point, joint in zip(points, joints, strict=True):
         friction = None if point.laws.friction is None else point.laws.friction.coulomb()
@@ -160,9 +168,17 @@ def stops_as_contacts(loads: LoadsInStep, last: list) -> list[UnilateralContact]
 def with_laws_of_stops(
     contacts: list[UnilateralContact], loads: LoadsInStep, delassus: DelassusOperator, h: Any
 ) -> list[UnilateralContact]:
-    """The contacts, of which sides of stops are the last, with what these do in a step of length
-    h [s]: the inertia along their rows tells whether the step follows their spring, and what they
-    give back where it does not."""
+    """The contacts with the laws of stops, which depend on the inertia along their rows.
+
+    The inertia tells whether the step resolves their spring, and what they give back where it does
+    not.
+
+    Args:
+        contacts: of which sides of stops are the last.
+        loads: the stops.
+        delassus: operator from impulses to velocities along all rows.
+        h: length of the step [s].
+    """
     result = list(contacts)
     first = sum(len(contact.velocities) for contact in contacts) - len(loads.stops)
     for k, one in enumerate(loads.stops):
@@ -211,7 +227,15 @@ def demands(
     h: Any,
     settings: MoreauJeanSettings,
 ) -> ContactDemands:
-    """What contacts ask in a step of length h [s] with these accelerations without them."""
+    """Velocities by Newton's law of impact, friction bounds and closed contacts of a step.
+
+    Args:
+        middle: of the step.
+        contacts: as percussions see them.
+        free: accelerations without contact.
+        h: length of the step [s].
+        settings: of the solver.
+    """
     # u-: at the step's start; u_free: at its end as if nothing touched.
     start = middle.change_to(middle.v)
     ahead = [sp.add(s, h * k) for s, k in zip(start, free, strict=True)]
@@ -305,10 +329,21 @@ def project(
     end: tuple[list, list],
     settings: MoreauJeanSettings,
 ) -> Projected:
-    """Coordinates at the `end` (q, v) of a step, moved apart in the metric of the masses until
-    contacts overlap by no more than they would leave or fall in a step: one at rest stays closed
-    whatever rounding and the turning of its normal do, and what strikes and rebounds undoes its
-    overlap itself; moving it would give it energy."""
+    """Coordinates at a step's end, moved apart where contacts overlap, in the metric of the masses.
+
+    An overlap by no more than contacts leave or fall in a step stays: a contact at rest remains
+    closed whatever rounding and the turning of its normal do, and what strikes and rebounds undoes
+    its overlap itself; moving it would give it energy.
+
+    Args:
+        model: of the run.
+        time_step: start and length [s].
+        middle: of the step.
+        contacts: as percussions see them.
+        delassus: operator from impulses to velocities along all rows.
+        end: coordinates and speeds at the end of the step.
+        settings: of the solver.
+    """
     (q, v), h = end, time_step.length
     motion = unpack_motion(model.system, [*q, *v])
     depths = contact_rows.indentations(model, time_step.end, *motion)

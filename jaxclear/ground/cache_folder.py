@@ -47,7 +47,7 @@ class CachedFile(NamedTuple):
     used: float
 
 
-def place() -> Path | None:
+def folder_path() -> Path | None:
     """The folder, whether it exists or not; None where nothing is to be kept."""
     return _folder_on_system(sys.platform, *map(os.environ.get, (VARIABLE, *OF_USER)))
 
@@ -77,7 +77,7 @@ def _of_user() -> Path:
 
 def read(kind: str, key: str) -> bytes | None:
     """What is kept of a kind under a key; None where nothing is, or nothing that can be trusted."""
-    folder = place()
+    folder = folder_path()
     if folder is None:
         return None
     path = _file_path(folder, kind, key)
@@ -101,9 +101,9 @@ def read(kind: str, key: str) -> bytes | None:
     return content
 
 
-def made() -> Path | None:
+def make_folder() -> Path | None:
     """The folder, which is made where it is not there; None where nothing can be kept."""
-    folder = place()
+    folder = folder_path()
     if folder is None:
         return None
     with suppress(OSError):
@@ -113,9 +113,9 @@ def made() -> Path | None:
     return None
 
 
-def of_jax() -> Path | None:
+def jax_folder() -> Path | None:
     """A folder within for JAX, which keeps programs, too; None where nothing can be kept."""
-    folder = made()
+    folder = make_folder()
     return None if folder is None else folder / JAX
 
 
@@ -127,7 +127,7 @@ def write(kind: str, key: str, content: bytes) -> None:
         key: under which it is read again.
         content: bytes of the file.
     """
-    folder = made()
+    folder = make_folder()
     if folder is None:
         return
     path = _file_path(folder, kind, key)
@@ -146,13 +146,13 @@ def write(kind: str, key: str, content: bytes) -> None:
 
 def list_files() -> list[CachedFile]:
     """All that is kept, what was used least recently first."""
-    folder = place()
+    folder = folder_path()
     return [] if folder is None else sorted(_files(folder), key=lambda one: one.used)
 
 
 def clear() -> int:
     """Removes all that is kept, by JAX too; how many files that were."""
-    folder, files = place(), [one.path for one in list_files()]
+    folder, files = folder_path(), [one.path for one in list_files()]
     if folder is not None:
         files += _list_stale_files(folder, after=0.0)
     if folder is not None and (folder / JAX).is_dir():

@@ -127,7 +127,7 @@ def solved(pattern: Pattern, entries: Any, least: Any, right: Any) -> Any:
     Args:
         pattern: of the non-zero entries of M.
         entries: of M, in the order of the pattern.
-            least: smallest pivot of each row, at or below which its unknown is 0 (in a kernel);
+        least: smallest pivot of each row, at or below which its unknown is 0 (in a kernel);
             None: no
             limit.
         right: right side, shape (n,).

@@ -189,10 +189,10 @@ def sign_of_determinant(matrix: Any) -> Any:
 def to_array(rows: Rows) -> jnp.ndarray:
     """Rows of sparse scalars as an array."""
     entries = {(i, j): x for i, row in enumerate(rows) for j, x in enumerate(row)}
-    return placed(entries, (len(rows), len(rows[0]) if rows else 0))
+    return dense_array(entries, (len(rows), len(rows[0]) if rows else 0))
 
 
-def placed(entries: dict[tuple[int, int], Any], shape: tuple[int, int]) -> jnp.ndarray:
+def dense_array(entries: dict[tuple[int, int], Any], shape: tuple[int, int]) -> jnp.ndarray:
     """An array of sparse scalars at these places; entries that are structurally zero are filled in,
     not stacked."""
     filled = {place: x for place, x in entries.items() if not sp.is_zero(x)}
@@ -295,8 +295,7 @@ def least_change(
     """Smallest x, measured as x / scales, with rows @ x = targets.
 
     A row that follows from earlier ones is left out, whether it holds or not. All derivatives are
-    finite,
-    also where x is zero.
+    finite, also where x is zero.
 
     Args:
         rows: coefficients; earlier rows have priority.
@@ -329,7 +328,7 @@ def least_change(
     return Change(scales * jnp.sum(parts[:, None] * basis, axis=0), exact)
 
 
-def of_rank(
+def reduce_to_rank(
     rows: Float[Array, "rows n"],
     targets: Float[Array, " rows"],
     scales: Float[Array, " n"],

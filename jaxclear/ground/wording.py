@@ -50,7 +50,7 @@ def listed(names: Iterable[Any]) -> str:
     return f"{text} and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else text
 
 
-def nearest(name: Any, names: Iterable[Any]) -> str:
+def nearest_name(name: Any, names: Iterable[Any]) -> str:
     """The known name that is most like another, whatever its capitals; "" where none is."""
     by_small = {str(one).lower(): str(one) for one in names}
     matches = difflib.get_close_matches(str(name).lower(), by_small, 1, LEAST_SIMILARITY)
@@ -60,7 +60,7 @@ def nearest(name: Any, names: Iterable[Any]) -> str:
 def meant(name: Any, names: Iterable[Any]) -> str:
     """A question, to be put behind a sentence, for the known name that is most like another; ""
     where none is."""
-    close = nearest(name, names)
+    close = nearest_name(name, names)
     return f' Did you mean "{close}"?' if close else ""
 
 
@@ -114,7 +114,7 @@ def offered_like(name: str, path: str) -> str:
     place: Any = sys.modules[__name__.partition(".")[0]]
     for part in path.split(".")[:-1]:
         place = getattr(place, part)
-    match = nearest(name, [n for n in place.__all__ if not n.startswith("Abstract")])
+    match = nearest_name(name, [n for n in place.__all__ if not n.startswith("Abstract")])
     return f"{place.__name__.partition('.')[0]}.{path.rpartition('.')[0]}.{match}" if match else ""
 
 

@@ -174,8 +174,13 @@ class Adaptive(AbstractIntegrator):
         return CompliantContact()
 
     def first_warm_start(self, model, start, state):
-        """How long a step may be [s]; 0: not known. Where contacts may close, the mean of steps;
-        and the growth of derivatives."""
+        """The bound of the step length [s] (0: unknown); and where contacts may close, touch moves.
+
+        Args:
+            model: of the run.
+            start: of the run [s].
+            state: array at the start, shape (n,).
+        """
         through = model.layout.contacts and self.through_contacts
         return jnp.zeros(()), jnp.zeros(3) if through else None
 

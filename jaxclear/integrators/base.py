@@ -324,9 +324,15 @@ MOST_STEPS = 1e12
 
 
 def divide(interval: Interval, step: Any, fixed: int | None = None) -> tuple[Any, Any]:
-    """(number of steps, their length [s]): the fewest equal ones no longer than `step`, or the
-    `fixed` number. Where that is more
-    than any run takes (a step of 0, which only a traced number can be here) one step of nan.
+    """(number of equal steps, their length [s]).
+
+    Where the number is more than any run takes (a step of 0, which only a traced number can be
+    here), one step of nan.
+
+    Args:
+        interval: start and stop [s].
+        step: largest length [s].
+        fixed: number of steps; None: the fewest that are no longer than `step`.
     """
     start, stop = interval.start, interval.stop
     count = jnp.maximum(jnp.ceil((stop - start) / step * (1 - SLIVER)), 1.0)
@@ -346,8 +352,13 @@ def resolved(step: Any, interval: Interval) -> Any:
 def march(
     one: Callable[[Any, Any, Any], tuple], steps: Any, state: Any, warm_start: Any
 ) -> tuple[Any, Any]:
-    """State and warm start after `steps` turns of (index, state,
-    warm start) -> (state, warm start), in one loop."""
+    """State and warm start after steps, in one loop.
+
+    Args:
+        one: (index, state, warm start) -> (state, warm start).
+        steps: their number.
+        state, warm_start: before the first step.
+    """
     turn = lambda carry: (carry[0] + 1, *one(*carry))
     _, state, warm_start = while_loop(
         lambda carry: carry[0] < steps, turn, (jnp.zeros((), int), state, warm_start)
@@ -356,9 +367,16 @@ def march(
 
 
 def counted(one: Callable[[Any, Any], Any], steps: int, first: Any) -> Any:
-    """What is handed on after so many turns of (index, what is handed on) -> what is handed on, in
-    a loop that reverse mode goes through backwards: it keeps what a turn is handed within one
-    interval at a time, and of the others what these begin with, and goes through all once more."""
+    """What is carried after a fixed number of turns, in a loop that suits reverse mode.
+
+    It stores what a turn is given within one interval at a time, and for the others only their
+    beginnings, and computes all once more.
+
+    Args:
+        one: (index, carry) -> carry.
+        steps: number of turns.
+        first: carry before the first turn.
+    """
     turn = jax.checkpoint(lambda carry, index: (one(index, carry), None), prevent_cse=False)
     through = lambda first: jax.lax.scan(turn, first, jnp.arange(steps))[0]
     return jax.checkpoint(through, prevent_cse=False)(first)
@@ -367,8 +385,15 @@ def counted(one: Callable[[Any, Any], Any], steps: int, first: Any) -> Any:
 def arrived(
     end: Any, steps: Any, warm_start: Any, peaks: Peaks | None = None, watch: Watch | None = None
 ) -> Advance:
-    """The answer of steps that are never rejected; `peaks`: the largest depths and forces on the
-    way, `watch`: the events, and what couplings have transmitted."""
+    """Result of an interval whose steps are never rejected.
+
+    Args:
+        end: state at its end, shape (n,).
+        steps: their number.
+        warm_start: for the next interval.
+        peaks: largest depths and forces so far; None: not followed.
+        watch: events and transmitted forces; None: not followed.
+    """
     outcome = jnp.where(jnp.all(jnp.isfinite(end)), Outcome.REACHED, Outcome.NOT_FINITE)
     extras = () if watch is None else (watch.events, watch.transmitted)
     return Advance(end, steps, jnp.zeros_like(steps), warm_start, outcome, peaks, *extras)
@@ -377,11 +402,16 @@ def arrived(
 def searching_steps(
     model: Model, interval: Interval, longest: Any, step: Callable, carry: tuple, loose: float
 ) -> Advance:
-    """The answer of equal steps, each of which searches for percussions or friction.
+    """Result of equal steps, each of which iterates on percussions or friction.
 
-    `longest`: length [s] that no step exceeds; `step`: (time step, state, last) -> (state, last);
-    `carry`: state and warm start. The last entry of the warm start (of its first array) is the
-    largest residual with which a search has ended, and beyond `loose` the laws are not met.
+    Args:
+        model: of the run.
+        interval: start and stop [s].
+        longest: largest length of a step [s].
+        step: (time step, state, last) -> (state, last).
+        carry: state and warm start; the last entry of the latter's first array is the largest
+            residual.
+        loose: residual beyond which the laws count as not satisfied.
     """
     steps, h = divide(interval, longest)
 

@@ -37,11 +37,15 @@ TRUSTED_IMPACTS = 1e-2
 
 
 def trusted(result: Any, growth: Array, limit: Scalar) -> Any:
-    """What was found of a run; its derivative is nan where touches move more than `limit` times as
-    much as the first of them did.
+    """The result of a run, with a derivative that is nan where touches move too much.
 
-    `growth`: zeros, whose derivatives tell how many touches moved, and by how much [s] the first
-    few of them and all of them did at most."""
+    Args:
+        result: pytree of arrays.
+        growth: zeros, whose derivatives are the number of touches that moved, and by how much
+            [s] the
+            first few and all of them did at most.
+        limit: largest ratio of the last two that is trusted [1].
+    """
 
     grown = lambda growth, limit: growth[2] <= limit * growth[1]
     return _where(grown, Unknown.GROWN, result, growth, limit)

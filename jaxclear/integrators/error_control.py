@@ -202,12 +202,22 @@ def solve(
     ended: Callable = lambda state, _: state,
     ends: tuple[int, int] = (0, 0),
 ) -> Solved:
-    """As `diffrax.diffeqsolve` over a `span` (start, end, first step) [s], in `most` steps tried:
-    the same steps to rounding, each `ended(state, args)`. A derivative is that of a solution in
-    steps of its own, which are short enough for it too (`_WithDerivatives`): where a spring sets in
-    within a step that resolves the motion, or at rest, those of the motion are too long. How long
-    steps are is no part of it. nan where it does not reach the end. `ends`: of the coordinates and
-    of the speeds in a state."""
+    """As `diffrax.diffeqsolve`, the same steps to rounding; nan where it does not reach the end.
+
+    A derivative is that of a solution in steps of its own, which are short enough for it too
+    (`_WithDerivatives`): where a spring sets in within a step that resolves the motion, or at rest,
+    those of the motion are too long. The length of steps is not differentiated.
+
+    Args:
+        term: right side.
+        solver, controller: of diffrax.
+        span: start, end and first step [s].
+        state: at the start, shape (n,).
+        args: of the right side.
+        most: largest number of steps tried.
+        ended: `ended(state, args)`: the state that is kept after each step.
+        ends: ends of the coordinates and of the speeds in a state.
+    """
     numbers, rest = eqx.partition((solver, constant(controller)), eqx.is_array)
     solving = _Solving(term, rest, most, ended, ends)
 

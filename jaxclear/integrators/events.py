@@ -64,7 +64,13 @@ class Watch(NamedTuple):
 
 
 def watch_from(model: Model, time: Any, state: State) -> Watch:
-    """The watch at the start of a saving interval."""
+    """The record of events at the start of a saving interval.
+
+    Args:
+        model: of the run.
+        time: start of the interval [s].
+        state: at the start, shape (n,).
+    """
     couplings = len(transmitting(model.system))
     none = jnp.zeros(couplings) if couplings else None
     if not model.events:
@@ -74,7 +80,14 @@ def watch_from(model: Model, time: Any, state: State) -> Watch:
 
 
 def transmitted(model: Model, time: Any, state: State, largest: Any) -> Any:
-    """The largest that couplings have transmitted, with what they do at an instant."""
+    """Largest force that each coupling has transmitted, updated at an instant [N m, N].
+
+    Args:
+        model: of the run.
+        time: instant [s].
+        state: shape (n,).
+        largest: before; None: not followed.
+    """
     if largest is None:
         return None
     system, entries = model.system, model.entries(state)
@@ -92,14 +105,27 @@ def nothing(motion: ContactMotion, most: int) -> Events:
 
 
 def contact_motion(model: Model, time: Any, state: State) -> ContactMotion:
-    """How contacts move."""
+    """Indentations and their rates, of all contacts.
+
+    Args:
+        model: of the run.
+        time: instant [s].
+        state: shape (n,).
+    """
     return CompliantContact().contacts(model, time, state)
 
 
 def watched(
     watch: Watch, model: Model, time: Any, length: Any, before: State, after: State
 ) -> Watch:
-    """The watch after a step from a `time` [s] of a `length` [s]."""
+    """The record of events after a step.
+
+    Args:
+        watch: before the step.
+        model: of the run.
+        time, length: start and length of the step [s].
+        before, after: states at its ends, shape (n,).
+    """
     watch = watch._replace(transmitted=transmitted(model, time, before, watch.transmitted))
     if watch.events is None:
         return watch
@@ -111,7 +137,13 @@ def watched(
 def noted(
     events: Events, time: Any, length: Any, before: ContactMotion, after: ContactMotion
 ) -> Events:
-    """The events, and those of a step from a `time` [s] of a `length` [s]."""
+    """The events with those of a step.
+
+    Args:
+        events: before the step.
+        time, length: start and length of the step [s].
+        before, after: motion of the contacts at its ends.
+    """
     closed = before.depths >= 0
     happened = closed != (after.depths >= 0)
     path = (before.depths, after.depths, length * before.rates, length * after.rates)
@@ -163,8 +195,13 @@ def no_peaks(depths: PerContact, damped: bool) -> Peaks:
 
 
 def risen(peaks: Peaks, depths: PerContact, forces: Any) -> Peaks:
-    """The peaks with these depths and forces. What is not a number is not met: every operation is
-    paid for in every step."""
+    """The peaks with the depths and forces of an instant; nan does not count.
+
+    Args:
+        peaks: largest depths and forces so far.
+        depths: indentations [m].
+        forces: normal forces of contacts that damp [N].
+    """
     larger = lambda new, old: jnp.where(new > old, new, old)
     pressed = None if peaks.forces is None else larger(forces, peaks.forces)
     return Peaks(larger(depths, peaks.depths), pressed)
@@ -183,9 +220,15 @@ def among(so_far: Peaks | None, peaks: Peaks) -> Peaks:
 
 
 def newest(so_far: Any, peaks: Any, counts: Any) -> Any:
-    """The larger of two peaks, with the derivative of the later one, which knows the earlier one
-    (`since`), where it `counts` and comes as near as `NEAR`: one whose steps are beyond what can be
-    known leaves that of an earlier, larger one as it is."""
+    """The larger of two peaks, with the derivative of the later one, which contains the other's.
+
+    Only a later peak that counts and comes as near as `NEAR` gives its derivative.
+
+    Args:
+        so_far: peak until the interval began.
+        peaks: peak until its end.
+        counts: whether the later one is valid.
+    """
 
     def rule(numbers, tangents):
         so_far, peaks, counts = numbers
@@ -216,10 +259,16 @@ def _with_derivative(counts: Callable, so_far: Peaks | None, peaks: Peaks) -> Pe
 def peaks(
     motion: Any, arrays: Any, ends: tuple, motions: tuple, peaks: Peaks, so_far: Peaks | None = None
 ) -> Peaks:
-    """The peaks after a step, from `peaks` until its start, and those `so_far` in the run until the
-    interval began. `motion`: of the model with these arrays (`saltation.motion_of`); `ends`: (time
-    [s], state) at the start and at the end; `motions`: those of the contacts there, whose own
-    derivatives do not count."""
+    """The peaks after a step, with their derivatives.
+
+    Args:
+        motion: of the model (`saltation.motion_of`).
+        arrays: of the model.
+        ends: (time [s], state) at the start and at the end.
+        motions: of the contacts there, whose own derivatives do not count.
+        peaks: until the start of the step.
+        so_far: peaks of the run until the interval began; None: none.
+    """
 
     def larger(arrays, start, end, motions, peaks, _):
         forces = None if peaks.forces is None else motion.pressing(arrays, end[1], motions[1])

@@ -70,9 +70,16 @@ ORDERS = {"semi_implicit": 1, "heun": 2, "rk4": 4, ON_GROUP: 4}
 
 
 def near_contacts(contacts: Any, last: Any, longest: Any) -> Any:
-    """Whether each contact is closed, has parted within the last step, or would close within the
-    `longest` [s]: by its closing speed, and by how that has grown since the last step began (a load
-    ends a short flight however slowly it begins)."""
+    """Which contacts are closed, have parted within the last step, or may close soon.
+
+    They may by their closing speed, and by how that has grown since the last step began: a load
+    ends a short flight however slowly it begins.
+
+    Args:
+        contacts: their motion now.
+        last: their motion at the start of the last step, and its length [s]; None: unknown.
+        longest: time in which they may close [s].
+    """
     coming = jnp.maximum(contacts.rates, 0.0) * longest
     near = (contacts.depths >= 0) | (contacts.depths + coming > 0)
     if last is None:
@@ -101,10 +108,20 @@ def chosen_length(longest: Any, rest: tuple | None) -> Callable[[Any, Any], Any]
 def explicit_step(
     formulation: Any, method: str, model: Model, clock: tuple, y: Any, last: Any
 ) -> tuple:
-    """The length and the end of a step, and what it leaves to the next. `clock`: its start and the
-    longest length [s], and of what `chosen_length` chooses it by the contacts at its start and what
-    the last step left. Stages behind the first are a loop: however many, the equations stand in the
-    program twice, and what only the first decides is not worked out in the others."""
+    """One explicit step: its length [s], the state at its end, and what it hands on.
+
+    Stages behind the first are a loop, so the equations stand in the program twice however many
+    stages.
+
+    Args:
+        formulation: rate of the state.
+        method: name of the method.
+        model: of the run.
+        clock: start and largest length of the step [s], and settings of its choice by contacts.
+        y: state at its start, shape (n,).
+        last: contacts at the start of the last step and its length; None: contacts are not
+            looked at.
+    """
     time, h, rest = clock
     looks = last is not None or rest is not None
     if method != ON_GROUP:
@@ -252,9 +269,16 @@ class FixedStep(AbstractIntegrator):
         return CompliantContact()
 
     def first_warm_start(self, model, start, state):
-        """The contacts at the start of the last step, and its length [s]: a touch in it is found
-        where the next step begins; None where nothing looks at contacts. And what is known of the
-        motion beside the run, None where derivatives are those of the steps."""
+        """Contacts at the start of the last step, its length [s], and the motion beside the run.
+
+        A touch in the last step is found where the next begins. Each is None where it is not
+        needed: without contacts, and where derivatives are those of the steps.
+
+        Args:
+            model: of the run.
+            start: of the run [s].
+            state: array at the start, shape (n,).
+        """
         if not model.layout.contacts:
             return None, None
         contacts = self.formulation.contacts(model, start, state)

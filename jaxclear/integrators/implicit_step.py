@@ -117,8 +117,15 @@ class ImplicitStep(AbstractIntegrator):
         return self.steps_per_save
 
     def first_warm_start(self, model, start, state):
-        """What warm-starts a step; and what is known of the motion beside the run, None where no
-        derivatives go through contacts."""
+        """Warm start of the first step, and the motion beside the run.
+
+        The second is None where no derivatives go through contacts.
+
+        Args:
+            model: of the run.
+            start: of the run [s].
+            state: array at the start, shape (n,).
+        """
         last = self.formulation.warm_start(model, start, state)
         last = self._fixed(model, start, state, last)
         if self._derivative(model) is None:

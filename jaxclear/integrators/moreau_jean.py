@@ -104,8 +104,13 @@ class _Tangent(NamedTuple):
 def through_impacts(step: Callable, formulation: RigidContact, rest: Any) -> Callable:
     """A step with its derivative, as a function of (arrays, clock, state, last, growth).
 
-    `step(model, settings, time step, state, last)`: (state, last). `arrays`: of model and settings,
-    of which this is the `rest`; `clock`: time [s] and length [s]. `growth`: `Moves`."""
+    `arrays` are those of model and settings, `clock` is time and length [s], `growth` a `Moves`.
+
+    Args:
+        step: `step(model, settings, time step, state, last)`: (state, last).
+        formulation: of the run.
+        rest: what is left of model and settings without their arrays.
+    """
 
     def step_by(how, arrays, clock, y, last):
         model, settings = unpacked(arrays, rest)
@@ -187,11 +192,18 @@ def _moved(steps: _Steps, here: tuple, tangents: Any) -> tuple[tuple, tuple, Mov
 def judge_end(
     formulation: RigidContact, rest: Any, now: tuple, growth: Moves, figures: Array
 ) -> Array:
-    """What was found at saving times, in rows; its derivative at the last one is nan where a
-    contact in flight overlaps there, by what the run is off: it has struck and should not have, or
-    not struck and should have.
+    """Rows of figures at saving times; the last one's derivative is nan where a strike is
+    uncertain.
 
-    `now`: (arrays, (time [s], length of a step [s]), state, last), as of `through_impacts`."""
+    That is where a contact in flight overlaps by less than the error of the run.
+
+    Args:
+        formulation: of the run.
+        rest: what is left of model and settings without their arrays.
+        now: arrays, (time, length of a step) [s], state and what the last step hands on.
+        growth: how much touches move.
+        figures: shape (times, n).
+    """
 
     strikes = _strikes(formulation, rest)
 

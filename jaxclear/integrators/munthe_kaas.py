@@ -330,8 +330,14 @@ def group_of(term: Any) -> AbstractGroup:
 def fixed_step(
     group: StateGroup, rate_of: Callable, time: Any, h: Any, y: Float[Array, " n"]
 ) -> Float[Array, " n"]:
-    """The state after a step h [s] of order 4, without an estimate of its error; `rate_of(time,
-    y)`: the state's rate."""
+    """The state after one step of order 4, without an estimate of its error.
+
+    Args:
+        group: which parts of the state are rotations and poses.
+        rate_of: function of time and state: the state's rate.
+        time, h: start and length of the step [s].
+        y: state at its start.
+    """
     table = TABLEAUS[4]
     unknown = jnp.zeros(group.parts[-1].increments.stop)
 

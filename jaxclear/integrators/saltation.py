@@ -118,13 +118,26 @@ class Motion(NamedTuple):
     def contacts(
         self, arrays: Any, time: Any, y: Any, shares: Any = None, exact: bool = True
     ) -> ContactMotion:
-        """The contacts, by which of the flanks count as pressing (`shares`; None: as their
-        positions say), their rates those of their depths where `exact`."""
+        """The motion of the contacts.
+
+        Args:
+            arrays: of the model.
+            time: instant [s].
+            y: state, shape (n,).
+            shares: 1 for flanks that count as pressing, 0 for others; None: by their positions.
+            exact: whether rates are those of the depths, for which equations of motion are solved.
+        """
         shares, exact = (shares, exact) if self.sided else (None, True)
         return self.observed(arrays, time, y, shares, exact)
 
     def near(self, arrays: Any, time: Any, y: Any) -> ContactMotion:
-        """The contacts, their rates where no equations of motion are solved for them."""
+        """The motion of the contacts, with rates for which no equations of motion are solved.
+
+        Args:
+            arrays: of the model.
+            time: instant [s].
+            y: state, shape (n,).
+        """
         return self.contacts(arrays, time, y, None, False)
 
 
@@ -154,8 +167,14 @@ def motion_of(formulation: CompliantContact, rest: Any) -> Motion:
 
 
 def equations(formulation: CompliantContact, rest: Any, plain: Callable) -> Equations:
-    """Of a model, of which this is the `rest` beside its arrays; `plain`: its rates as a function
-    of (arrays, time, state), and of shares where couplings have play."""
+    """Right side and its derivatives with touches, for steps under error control.
+
+    Args:
+        formulation: of the run.
+        rest: what is left of the model without its arrays.
+        plain: rates as a function of (arrays, time, state), and of shares where couplings have
+            play.
+    """
 
     motion = motion_of(formulation, rest)
 
@@ -186,8 +205,16 @@ def closed(contacts: ContactMotion) -> Any:
 
 
 def at_moving_time(motion: Motion, start: Start, d_in: tuple, slopes: Any = ()) -> tuple:
-    """The derivatives of (state, slopes) where a step begins, at a time that moves with touches,
-    and by how much that does. `d_in`: derivatives of (arrays, time, state)."""
+    """Derivatives of state and slopes at a step's start, at a time that moves, and its shift [s].
+
+    The time moves with touches.
+
+    Args:
+        motion: of the model.
+        start: of the step: arrays, time, state, length and contacts.
+        d_in: derivatives of arrays, time and state.
+        slopes: that the solver keeps between steps.
+    """
     d_arr, d_time, state = d_in
     if not motion.layout.joint_contacts:
         return *jax.tree.map(moved, (state, slopes)), jnp.zeros(())
@@ -269,8 +296,14 @@ class Crossed(NamedTuple):
 
 
 def cross(motion: Motion, here: tuple, d_in: tuple, acting: tuple) -> Crossed:
-    """Behind an instant at which contacts that act by these shares, (before, after), touch and
-    part; `here`: (arrays, time, state), `d_in`: their derivatives before it."""
+    """State and derivative behind an instant at which contacts touch and part.
+
+    Args:
+        motion: of the model.
+        here: arrays, time [s] and state.
+        d_in: their derivatives before the instant.
+        acting: shares of the contacts before and after, 1 in contact and 0 apart.
+    """
     (arrays, time, y), (before, after), state = here, acting, d_in[2]
     flow = motion.rates(arrays, before, time, y)
     view = lambda arrays, time, y: motion.contacts(arrays, time, y, before)
@@ -322,7 +355,14 @@ def _slopes(motion: Motion, shares: Any, here: tuple, d_in: tuple, slopes: Any) 
 
 
 def with_impact_speeds(layout: Layout, state: Any, taken: Any, speeds: Any) -> Any:
-    """The state with these in the places of impact speeds that have been taken."""
+    """The state with new impact speeds where contacts have touched.
+
+    Args:
+        layout: where impact speeds sit.
+        state: shape (n,).
+        taken: which contacts have touched.
+        speeds: of touch [m/s].
+    """
     entries = [state[i] for i in range(layout.size)]
     for i, place in enumerate(impact_speed_places(layout)):
         if place is not None:
@@ -341,10 +381,17 @@ def through_touches(
 ) -> Callable:
     """A step with its derivative, as a function of (arrays, clock, state, last, peaks).
 
-    `plain(arrays, clock, state, last, peaks)`: its length [s], the state at its end, what it leaves
-    to the next, ((the contacts at its start, its length), None), and the peaks of the contacts;
-    `length(clock, contacts, last)`: the length by these contacts. `arrays`: of the model, all else,
-    and peaks before the interval; `clock`: begins with the time [s]."""
+    `arrays` are those of the model, all others, and peaks before the interval; `clock` begins with
+    the time [s].
+
+    Args:
+        formulation: of the run.
+        rest: what is left of the model without its arrays.
+        plain: `plain(arrays, clock, state, last, peaks)`: length [s], state at the end, what
+            the step
+            hands on, ((contacts at its start, its length), None), and the peaks of the contacts.
+        length: `length(clock, contacts, last)`: length of a step by these contacts [s].
+    """
     motion = motion_of(formulation, rest)
 
     def moving(numbers, tangents):
@@ -376,9 +423,15 @@ def through_touches(
 
 
 def higher(motion: Motion, start: Start, end: Any, highest: tuple, d_in: tuple) -> tuple:
-    """The peaks behind a step at whose end the state is `end`, and their derivative. `highest`: the
-    peaks until its start, and in the run before its interval; `d_in`: derivatives of (arrays,
-    (time, state) at its start, at its end, peaks)."""
+    """The peaks behind a step, and their derivative.
+
+    Args:
+        motion: of the model.
+        start: of the step: arrays, time, state, length and contacts.
+        end: state at its end, shape (n,).
+        highest: peaks until its start, and in the run before its interval.
+        d_in: derivatives of arrays, of (time, state) at both ends, and of the peaks.
+    """
     stop = start.time + start.length, end
     motions = motions_over(motion, start, end)
     go = lambda arrays, *now: peaks(motion, arrays, now[:2], motions, now[2], *highest[1:])
@@ -386,7 +439,13 @@ def higher(motion: Motion, start: Start, end: Any, highest: tuple, d_in: tuple) 
 
 
 def motions_over(motion: Motion, start: Start, end: Any) -> tuple[ContactMotion, ContactMotion]:
-    """The motion of the contacts at both ends of a step."""
+    """Motion of the contacts at both ends of a step.
+
+    Args:
+        motion: of the model.
+        start: arrays, time, state and length.
+        end: state at the end, shape (n,).
+    """
     first = start.contacts
     if motion.sided:
         first = motion.contacts(*start[:3])
@@ -394,8 +453,15 @@ def motions_over(motion: Motion, start: Start, end: Any) -> tuple[ContactMotion,
 
 
 def at_fixed_time(motion: Motion, start: Start, end: Any, d_end: Any, shift: Any) -> Any:
-    """The derivative of the state where a step ends, at a fixed time, from that at a time which
-    moves by a `shift`."""
+    """Derivative of the state at the end of a step, at a fixed time.
+
+    Args:
+        motion: of the model.
+        start: of the step: arrays, time, state, length and contacts.
+        end: state at the end, shape (n,).
+        d_end: its derivative at a time that moves.
+        shift: how much that time moves [s].
+    """
     if not motion.layout.joint_contacts:
         return d_end
     shares, time = start.shares, start.time + start.length
@@ -434,9 +500,14 @@ def _remembering(
 
 
 def separate(motion: Motion, start: Start, end: Any, d_in: tuple) -> tuple[Any, Any]:
-    """A step in which a contact closes or parts, at whose end the state is about `end`: whether one
-    has changed, and the derivative of the state at the end.
-    `d_in`: derivatives of arrays, of (time, length), and of the state."""
+    """Whether a contact changes within a step, and the derivative of the state at its end.
+
+    Args:
+        motion: of the model.
+        start: arrays, time, state and length.
+        end: about the state at the end, shape (n,).
+        d_in: derivatives of arrays, of (time, length), and of the state.
+    """
     d_arr, (d_time, longer), state = d_in
     arrays, time, y, h, *_ = start
     before = start.shares
@@ -475,8 +546,14 @@ def separate(motion: Motion, start: Start, end: Any, d_in: tuple) -> tuple[Any, 
 
 
 def cross_within(motion: Motion, start: Start, d_in: tuple, hit: Any) -> tuple:
-    """(state, its derivative, by how much later [s]) behind what is `hit` where a part of a step of
-    this length begins; `d_in`: derivatives of (arrays, state)."""
+    """(state, its derivative, delay [s]) behind contacts that change where a part of a step begins.
+
+    Args:
+        motion: of the model.
+        start: of the part: arrays, time, state, length and contacts.
+        d_in: derivatives of arrays and state.
+        hit: which contacts change.
+    """
     (d_arr, state), (arrays, at, y, length, _, acting) = d_in, start
     flow = motion.rates(arrays, acting, at, y)
     depths, rates = motion.contacts(arrays, at, y, acting)
@@ -492,8 +569,13 @@ def cross_within(motion: Motion, start: Start, d_in: tuple, hit: Any) -> tuple:
 
 
 def along(motion: Motion, start: Start, d_in: tuple) -> tuple:
-    """(state, its derivative) at the end of a part of a motion in which contacts act as where it
-    begins. `d_in`: derivatives of (arrays, state)."""
+    """(state, its derivative) at the end of a part of a motion in which no contact changes.
+
+    Args:
+        motion: of the model.
+        start: of the part: arrays, time, state, length and contacts.
+        d_in: derivatives of arrays and state.
+    """
     d_arr, state = d_in
     go = lambda arrays, time, y: flow_end(motion, arrays, start.shares, time, start.length, y)
     state, _, shift = at_moving_time(motion, start, (d_arr, jnp.zeros(()), state))
@@ -502,8 +584,15 @@ def along(motion: Motion, start: Start, d_in: tuple) -> tuple:
 
 
 def flow_end(motion: Any, arrays: Any, shares: Any, time: Any, length: Any, y: Any) -> Any:
-    """The state after a time in which contacts act by these shares (None: as their indentations
-    have it)."""
+    """The state after a time in which no contact changes.
+
+    Args:
+        motion: of the model.
+        arrays: of the model.
+        shares: of the contacts, 1 in contact and 0 apart; None: by their indentations.
+        time, length: start and duration [s].
+        y: state at the start, shape (n,).
+    """
     nodes, weights = jnp.asarray(NODES), jnp.asarray(WEIGHTS)
 
     def stage(carry, i):

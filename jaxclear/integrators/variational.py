@@ -76,18 +76,30 @@ class Resolved(NamedTuple):
 
 
 def not_resolved(size: int, contacts: int, damped: bool) -> Resolved:
-    """Where a run begins, of which the state has this size, and some contact is `damped`."""
+    """The record of the motion beside a run, at its start.
+
+    Args:
+        size: of the state.
+        contacts: their number.
+        damped: whether some contact damps, so that its peak force is followed.
+    """
     return Resolved(jnp.zeros(size), jnp.zeros(()), no_peaks(jnp.zeros(contacts), damped))
 
 
 def resolved_steps(formulation: CompliantContact, rest: Any, plain: Callable) -> Callable:
-    """A step with the derivative of the motion beside it, as a function of (arrays, clock, state,
-    last, peaks).
+    """A step with the derivative of the motion beside it.
 
-    `plain(arrays, clock, y, last, peaks)`: its length [s], the state at its end, what it leaves to
-    the next, (numbers, what is known of the motion beside the run), and the peaks until then.
-    `arrays`: of the model, and of all else; `clock`: begins with its start and length [s]; `rest`:
-    of the model."""
+    It is a function of (arrays, clock, state, last, peaks); `arrays` are those of the model and all
+    others, `clock` begins with start and length [s].
+
+    Args:
+        formulation: of the run.
+        rest: what is left of the model without its arrays.
+        plain: `plain(arrays, clock, y, last, peaks)`: length [s] and state at the end, what the
+            step
+                    hands on, (numbers, what is known of the motion beside the run), and the peaks
+            until then.
+    """
     motion = motion_of(formulation, rest)
 
     def remember(arrays, y, contacts, length):
@@ -134,8 +146,12 @@ THROUGH, BESIDE = "through touches", "beside the steps"
 def derived_steps(
     kind: str | None, formulation: CompliantContact, rest: Any, plain: Callable, length: Callable
 ) -> Callable:
-    """A step (arrays, clock, state, last, peaks) with its derivative through contacts (None: its
-    own); arguments as of `through_touches` and `resolved_steps`."""
+    """A step (arrays, clock, state, last, peaks) with its derivative through contacts.
+
+    Args:
+        kind: how the derivative goes through contacts; None: it is that of the step.
+        formulation, rest, plain, length: as of `through_touches` and `resolved_steps`.
+    """
     if kind == BESIDE:
         return resolved_steps(formulation, rest, plain)
     return plain if kind is None else through_touches(formulation, rest, plain, length)
@@ -149,8 +165,17 @@ def so_far(last: tuple) -> tuple:
 
 
 def trusted_steps(kind: str | None, end: Any, peaks: Any, watch: Any, last: tuple) -> tuple:
-    """All that was found of a run in steps, where its derivative can be trusted. Events have none
-    of the motion beside a run, nor rates at events of that through touches."""
+    """Results of a run in steps, with derivatives where these can be trusted.
+
+    Events have none beside a run, and rates at events none through touches.
+
+    Args:
+        kind: how derivatives go through contacts; None: they are those of the steps.
+        end: state at the end, shape (n,).
+        peaks: largest depths and forces.
+        watch: events and transmitted forces.
+        last: what the last step hands on.
+    """
     if kind is None:
         return end, peaks, watch
     if kind == BESIDE:
@@ -226,10 +251,15 @@ class Part(NamedTuple):
 
 
 def followed(motion: Motion, remember: Callable, clock: tuple, d_in: tuple, request: tuple) -> Part:
-    """A motion over a time, where it is needed. `remember(state, contacts)`: the state as it
-    knows its impact speeds. `clock`: (arrays, start [s], length [s]), `d_in`: the derivatives of
-    the arrays and of the state, at times that do not move; `request`: (`needed`, the state, (the
-    peaks, their derivatives))."""
+    """A motion over a time with its derivative, where it is needed.
+
+    Args:
+        motion: of the model.
+        remember: `remember(state, contacts)`: the state with its impact speeds.
+        clock: arrays, start and length [s].
+        d_in: derivatives of arrays and state, at times that do not move.
+        request: whether it is needed, the state, and (peaks, their derivatives).
+    """
     (_, _, total), (d_arr, state), (needed, y, highest) = clock, d_in, request
     nothing = jnp.zeros(())
     first = Part(

@@ -14,7 +14,7 @@ import equinox as eqx
 from jaxclear.ground.argument_errors import Renamed, nothing_else
 from jaxclear.ground.quantity import Scalar
 from jaxclear.laws.law import AbstractLaw
-from jaxclear.laws.transmission import bounded
+from jaxclear.laws.transmission import bounded_damper
 
 __all__ = ["AbstractFlankLaw", "ElastoBacklash", "Nordin", "Stop"]
 
@@ -95,7 +95,7 @@ class ElastoBacklash(AbstractFlankLaw):
     needs_damping = False
 
     def torque(self, elastic, viscous):
-        return elastic + bounded(elastic, viscous)
+        return elastic + bounded_damper(elastic, viscous)
 
 
 __getattr__, __dir__ = nothing_else("jaxclear.flank", __all__)

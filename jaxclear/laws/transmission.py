@@ -22,7 +22,7 @@ class Pull(NamedTuple):
     dissipated: Any
 
 
-def bounded(spring: Any, damper: Any) -> Any:
+def bounded_damper(spring: Any, damper: Any) -> Any:
     """The force of a damper beside a spring that pushes one way, no larger than the spring's: the
     sum begins at 0 where the spring does, and never pulls.
 
@@ -45,11 +45,11 @@ def one_sided(stretch: Any, rate: Any, stiffness: Any, damping: Any) -> Pull:
     stored = 0.5 * spring * beyond
     if damping is None:
         return Pull(spring, stored, 0)
-    damper = bounded(spring, damping * rate)
+    damper = bounded_damper(spring, damping * rate)
     return Pull(spring + damper, stored, damper * rate)
 
 
-def freewheel(twist: Any, rate: Any, stiffness: Any, damping: Any) -> tuple[Pull, Any]:
+def freewheel_pull(twist: Any, rate: Any, stiffness: Any, damping: Any) -> tuple[Pull, Any]:
     r"""Pull of a freewheel, a spring and damper whose end slips backwards, and its rate of twist.
 
     With the twist :math:`\theta` of the spring, :math:`F = k\theta + d\dot\theta \ge 0`, the end
@@ -81,7 +81,7 @@ class Helix(NamedTuple):
     normal: Any
 
 
-def helix(lead: Any, diameter: Any, flank_angle: Any) -> Helix:
+def helix_of_thread(lead: Any, diameter: Any, flank_angle: Any) -> Helix:
     r"""The helix of a thread: its slope, radius and normal force.
 
     With :math:`\tan\lambda = l / (\pi d)` the normal force of a flank that pushes F along the axis
@@ -114,7 +114,7 @@ def holding(deflection: Any, slip: Any, yields: Any, settling: Any) -> tuple[Any
         settling: time constant of the damping [s].
 
     Returns:
-            The share of the largest friction that acts, -1 to 1 along the slip; the rate of the
+        The share of the largest friction that acts, -1 to 1 along the slip; the rate of the
         deflection.
 
     Source: Prandtl 1928, Z. angew. Math. Mech. 8, 85, doi:10.1002/zamm.19280080202 (an elastic,
@@ -129,12 +129,11 @@ def loss(force: Any, share: Any, efficiency: Any, backwards: Any) -> Any:
     r"""Friction [N, N m] against the motion of the driving end of a transmission.
 
     In full :math:`|F|(1/\eta - 1)` where power goes forwards, :math:`|F|(1 - \eta_b)` where it
-    comes
-    back. What comes out is :math:`\eta` times what goes in; one that locks itself has
+    comes back. What comes out is :math:`\eta` times what goes in; one that locks itself has
     :math:`\eta_b < 0`.
 
     Args:
-            force: F, by which the transmission pushes back on that end, positive against a positive
+        force: F, by which the transmission pushes back on that end, positive against a positive
             motion.
         share: of the friction that acts [1], -1 to 1.
         efficiency: :math:`\eta` forwards [1].

@@ -100,7 +100,7 @@ def _cell_corners(group: Int[np.ndarray, "blocks i j k"]) -> Int[np.ndarray, "ce
     return np.stack(corners, axis=-1).reshape(-1, 8)
 
 
-def joined(groups: Sequence[Float[np.ndarray, "blocks i j k 3"]]) -> BlockMesh:
+def join_blocks(groups: Sequence[Float[np.ndarray, "blocks i j k 3"]]) -> BlockMesh:
     """The mesh of blocks given by the places of their points; points in one place become one.
     Blocks that are left-handed are turned over."""
     groups = [np.stack([_make_right_handed(block) for block in group]) for group in groups]

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxclear.components.sphere_map import stencil
-from jaxclear.mesh.block_mesh import BlockDeformation, BlockMesh, deformation, joined
+from jaxclear.mesh.block_mesh import BlockDeformation, BlockMesh, deformation, join_blocks
 
 GROWTH = 1.3
 # Half the side of a pin's square core, as a share of the radius.
@@ -95,7 +95,7 @@ def bush(wear_map: Any, thickness: float, cells: tuple[int, int, int]) -> Solid:
         for heights in _split(np.linspace(-0.5, 0.5, cells[1] + 1) * length, 2)
         for depths in _split(outward, 2)
     ]
-    mesh = joined([np.stack(blocks)])
+    mesh = join_blocks([np.stack(blocks)])
     distance = np.hypot(*np.asarray(mesh.points).T[:2])
     return _make_solid(mesh, wear_map, distance, (radius, outward[-1]), ACROSS)
 
@@ -125,7 +125,7 @@ def pin(wear_map: Any, thickness: float, cells: tuple[int, int, int]) -> Solid:
             steps = np.linspace(0, 1, cells[2] // 2 + 1)[None, :, None]
             rest = (1 - steps) * layer[:, -1:] + steps * square[:, None]
             shells += [_extrude(layer, heights), _extrude(rest, heights)]
-    mesh = joined([np.stack(shells), np.stack(core)])
+    mesh = join_blocks([np.stack(shells), np.stack(core)])
     distance = np.hypot(*np.asarray(mesh.points).T[:2])
     return _make_solid(mesh, wear_map, distance, (radius,), ACROSS)
 
@@ -152,7 +152,7 @@ def socket(wear_map: Any, thickness: float, cells: tuple[int, int, int]) -> Soli
         for side in sides
         for depths in _split(outward, 2)
     ]
-    mesh = joined([np.stack(blocks)])
+    mesh = join_blocks([np.stack(blocks)])
     distance = np.linalg.norm(np.asarray(mesh.points), axis=1)
     return _make_solid(mesh, wear_map, distance, (radius, outward[-1]), ALL_AXES)
 

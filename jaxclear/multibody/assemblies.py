@@ -140,7 +140,7 @@ def assemblies(
         mechanism,
         np.array([np.asarray(start.coordinates) for start in starts]),
         np.array([mode.distance if mechanism.guess else 0.0 for mode in modes]),
-        np.array([assembly_modes.sign(start) for start in starts]),
+        np.array([assembly_modes.sign_of_start(start) for start in starts]),
         np.array([assembly_modes.smallest_singular_value(start) for start in starts]),
         np.array([mode.searches for mode in modes]),
         int(samples),

@@ -28,18 +28,17 @@ from jaxclear.multibody import (
     redundancy,
     start_check,
 )
-from jaxclear.multibody.assembly_modes import Beginning, Mode, Nominal, at_guess
+from jaxclear.multibody.assembly_modes import Beginning, Mode, Nominal, beginning_at_guess
 from jaxclear.multibody.forces import relative_motions
 from jaxclear.multibody.mechanism import Mechanism, loosened, ungiven, with_redundancy
 from jaxclear.multibody.motors_at_start import with_motors
-from jaxclear.multibody.newton import Near, closed, least, nearer
+from jaxclear.multibody.newton import Near, closed, least_step, nearer
 from jaxclear.multibody.start_equations import (
     JOURNAL,
     LOOP,
     START,
     Ask,
     Start,
-    ask,
     blocks_at,
     guess,
     guess_blocks,
@@ -50,9 +49,10 @@ from jaxclear.multibody.start_equations import (
     outside_tree,
     place_at,
     position_blocks,
-    scaled,
+    scale,
     speed_blocks,
     stacked,
+    start_problem,
 )
 from jaxclear.multibody.system import readings
 from jaxclear.multibody.topology import Redundancy
@@ -83,14 +83,14 @@ def assemble_arrays(
         mechanism: whose `start` and `speeds` are met, and whose `guess` is approached.
         concentric: whether journals are put in the middle of their bearings as far as loops allow.
         time: start of the run [s].
-            rough: coordinates and speeds at which the search begins, which decides the mode; None:
+        rough: coordinates and speeds at which the search begins, which decides the mode; None:
             at the
             mechanism's guess.
-            worn: depth maps [m] of surfaces that are worn at the start, by joint and surface; None:
+        worn: depth maps [m] of surfaces that are worn at the start, by joint and surface; None:
             new.
         straight: whether beams start straight and at rest as far as the other equations allow.
     """
-    problem = ask(mechanism, concentric, worn)._replace(straight=straight)
+    problem = start_problem(mechanism, concentric, worn)._replace(straight=straight)
     values = guess(mechanism, problem.system) if rough is None else rough
     return _solve_start(problem, *values, time, rough is None, call=in_one)
 
@@ -157,7 +157,7 @@ def _searched(problem: Ask, q: Array, v: Array, time: Any) -> tuple[Array, Array
     q, _ = jax.lax.scan(improve, q, weights)
     # The second time for rounding only: rates are linear in the speeds.
     for _ in range(2):
-        v = v - least(problem, speed_blocks(problem, q, v, time)).change
+        v = v - least_step(problem, speed_blocks(problem, q, v, time)).change
     return with_motors(mechanism, problem.system, q, v, time)
 
 
@@ -167,7 +167,7 @@ def closest(problem: Ask, q: Array, time: Any) -> Array:
     It also serves where no coordinates close the loops, or some of their rows are redundant.
 
     Args:
-        problem: equations of the start (`ask`).
+        problem: equations of the start (`start_problem`).
         q: coordinates of the tree at which the search begins, shape (coordinates,).
         time: instant [s] of the drives.
     """
@@ -188,7 +188,7 @@ def carried_on(mechanism: Mechanism, coordinates: Array, speeds: Array, time: An
         time: instant [s] of this state.
     """
     bare = ungiven(mechanism)
-    problem = ask(bare, False)
+    problem = start_problem(bare, False)
     result = assemble_arrays(bare, False, time, (coordinates, speeds), straight=False)
     rest = stacked(problem, position_blocks(problem, coordinates, time))[1]
     is_saved = jnp.max(jnp.abs(rest), initial=0.0) <= start_check.EXACT * problem.arm
@@ -216,7 +216,7 @@ def _make_start(problem: Ask, q: Array, v: Array, time: Any) -> Start:
         {b.name: b.rest / b.measure for b in speeds if b.kind == START},
         _start_overlaps(problem, q, v, time),
         {b.name: b.rest / b.measure for b in guess_blocks(problem, place) if b.name not in carried},
-        scaled(problem, [] if solved else positions)[0],
+        scale(problem, [] if solved else positions)[0],
     )
 
 
@@ -251,7 +251,7 @@ def is_sound(mechanism: Mechanism, start: Start) -> Bool[Array, ""]:
 @compiled_quickly
 def _search_closest(mechanism: Mechanism, time: Any) -> Start:
     """The search for coordinates that miss closed loops by least."""
-    problem = ask(mechanism, False)
+    problem = start_problem(mechanism, False)
     q, v = guess(mechanism)
     return compiled_sooner(lambda: _make_start(problem, closest(problem, q, time), v, time))
 
@@ -274,7 +274,7 @@ def _find_start(
     is_drawn: bool = False,
 ) -> tuple[Start, Array, Array]:
     """The search for a start that closes all loops."""
-    problem = ask(mechanism, concentric, worn)
+    problem = start_problem(mechanism, concentric, worn)
     seed, v = guess(mechanism, problem.system)
     if is_drawn:
         q = seed
@@ -295,7 +295,7 @@ def _judge_start(mechanism: Any, *rest: Any) -> Judged:
 @compiled_quickly
 def _distance_of_guess(mechanism: Mechanism, concentric: bool, worn: dict | None) -> Array:
     """By how much the guess misses all that is asked of a start, beside what is rounding [1]."""
-    problem = ask(mechanism, concentric, worn)
+    problem = start_problem(mechanism, concentric, worn)
     q, v = guess(mechanism, problem.system)
     place = place_at(problem, q, 0.0)
     missed = [
@@ -403,7 +403,7 @@ class FirstSearch(NamedTuple):
 
     def modes(self, count: int) -> list[Mode]:
         """The modes to which this search and so many others lead."""
-        part = [(at_guess(self.mechanism), 1)]
+        part = [(beginning_at_guess(self.mechanism), 1)]
         if self.sought is None:
             return assembly_modes.modes(self.tree, lambda _: (self.start, self.sound), part)
         others = assembly_modes.beginnings(self.mechanism, self.tree, count - 1)
@@ -420,7 +420,7 @@ def first_search(mechanism: Mechanism, concentric: bool, worn: dict | None = Non
         concentric, worn: mode of journals and depth maps [m] as in `assemble_arrays`.
     """
     bare = with_redundancy(mechanism, None)
-    begin = at_guess(mechanism)
+    begin = beginning_at_guess(mechanism)
     first = _judge_start(bare, concentric, worn, begin, _is_drawn(bare, concentric, worn))
     tree = assembly_modes.Coordinates(bare, first.seed, first.arm)
     judged = lambda m: _judge_start(m, concentric, worn, begin)[:2]
@@ -467,7 +467,7 @@ def nearest(mechanism: Mechanism, concentric: bool = True, worn: dict | None = N
             judged = lambda m: _judge_start(m, concentric, worn, begin)[:2]
             values = _add_redundancy(other.mechanism, result[0].start, True, 0.0, judged)
             first, start, sound = other._replace(mechanism=values[0]), *values[1:]
-    text = [assembly_modes.doubt(first.mechanism, first.tree, result)] if sound else []
+    text = [assembly_modes.ambiguity_warning(first.mechanism, first.tree, result)] if sound else []
     text += [first.tree.turn_warning(mechanism, start)] if sound else []
     doubt = " ".join(filter(None, text))
     if doubt:
@@ -493,7 +493,7 @@ def ready(mechanism: Mechanism, concentric: bool = True, worn: dict | None = Non
     return result
 
 
-def ready_from(
+def ready_from_state(
     mechanism: Mechanism, coordinates: Array, speeds: Array, time: Any
 ) -> tuple[Mechanism, Start]:
     """The mechanism with its redundant rows, and the start from a state of a run (`carried_on`).
@@ -544,11 +544,11 @@ def _add_redundancy(
         is_final = is_closed and is_near()
         return (values, start, sound) if is_final else (values, *assembled(values))
     if not sound and start_check.open_by(place) == 0 < start_check.open_by(start):
-        far = with_redundancy(bare, redundancy.searched(result, start))
+        far = with_redundancy(bare, redundancy.with_search(result, start))
         other, fine = assembled(far)
         if fine:
             return far, other, fine
-    if sound and redundancy.depend(start):
+    if sound and redundancy.has_dependent_rows(start):
         warn(
             "the mechanism stands at a position in which the rows of its loops depend on each "
             "other (links in one line, say): it can leave it in more than one way, and a run from "
@@ -584,7 +584,7 @@ def sampled(mechanism: Mechanism, concentric: bool, worn: dict | None) -> Sample
     values, start = result.mechanism, result.start
     if is_traced(start):
         return Sampled((), values.topology.redundancy, None)
-    names = start_check.determined(values, start) if mechanism.start else ()
+    names = start_check.determined_names(values, start) if mechanism.start else ()
     if is_solved(mechanism, concentric):
         return Sampled(names, values.topology.redundancy, None)
     if names:

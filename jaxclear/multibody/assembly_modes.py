@@ -110,7 +110,7 @@ def at(coordinates: Any) -> Beginning:
     return Beginning(np.asarray(True), np.asarray(False), jnp.asarray(coordinates))
 
 
-def at_guess(mechanism: Mechanism) -> Beginning:
+def beginning_at_guess(mechanism: Mechanism) -> Beginning:
     """The mechanism's own beginning."""
     none = np.zeros(mechanism.topology.coordinate_count)
     return Beginning(np.asarray(False), np.asarray(True), none)
@@ -156,7 +156,7 @@ def smallest_singular_value(start: Start) -> float:
     return float(np.linalg.svd(rows, compute_uv=False)[-1]) if rows.size else float("nan")
 
 
-def sign(start: Start) -> int:
+def sign_of_start(start: Start) -> int:
     """Of the determinant of the rows that are held; 0 where these are not as many as the speeds."""
     rows = np.asarray(start.rows)
     square = rows.size and rows.shape[0] == rows.shape[1]
@@ -215,7 +215,7 @@ def _is_one(tree: "Coordinates", a: Start, b: Start) -> bool:
     return len(away) > 0 and leaves_free(a) and bool(np.max(np.abs(away)) <= SAME)
 
 
-def doubt(mechanism: Mechanism, tree: "Coordinates", result: list[Mode]) -> str:
+def ambiguity_warning(mechanism: Mechanism, tree: "Coordinates", result: list[Mode]) -> str:
     """A warning that two modes are about as near to the guess, with both distances; "" where not.
 
     Args:

@@ -265,7 +265,7 @@ def closing_rows(
     Args:
         system: names the closures (`topology.loops`).
         motions: motion of every link at one instant, in the order of `system.links`.
-            every: each closure with the multipliers [N, N m] of its moving rows, by row index, in
+        every: each closure with the multipliers [N, N m] of its moving rows, by row index, in
             the order
             of `system.closures`.
     """
@@ -279,7 +279,7 @@ def closing_rows(
     return rows
 
 
-def by_closure(
+def multipliers_by_closure(
     system: System, motions: tuple[Motion, ...], multipliers: tuple
 ) -> Iterator[tuple[Closure, dict[int, Any]]]:
     """Each closure with the multipliers of its moving rows, by row index.
@@ -335,7 +335,7 @@ def wrenches_of_rows(
         multipliers: for each closure, [N, N m] by row index.
 
     Returns:
-            The wrench on each closure's child about its marker, in the parent marker's axes; and
+        The wrench on each closure's child about its marker, in the parent marker's axes; and
         what each
         link receives through its inboard joint, in the link's frame.
     """

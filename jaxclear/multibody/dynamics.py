@@ -96,8 +96,7 @@ def constrained_inverse(
     """Functions that apply M^-1 and that correct accelerations to satisfy constraint rows.
 
     Of rows that depend on each other, the multipliers are the least ones, torques divided by the
-    longest
-    arm; of rows that follow from others at a singular position only, they are 0.
+    longest arm; of rows that follow from others at a singular position only, they are 0.
 
     Args:
         masses: mass matrix of each subtree, rows of entries; empty without free speeds.
@@ -106,7 +105,7 @@ def constrained_inverse(
         dependence: rank of rows that depend on each other; None: they are independent.
 
     Returns:
-            `respond`: columns of generalised forces to columns of accelerations, structurally zero
+        `respond`: columns of generalised forces to columns of accelerations, structurally zero
         where no
             force acts; `constrain`: accelerations and targets of the rows to corrected
         accelerations and
@@ -188,7 +187,7 @@ def with_closures(system: System, forces: Forces, solution: Solution) -> Forces:
         forces: all that acts but the closures.
         solution: with the multipliers at these forces.
     """
-    every = list(constraints.by_closure(system, forces.motions, solution.multipliers))
+    every = list(constraints.multipliers_by_closure(system, forces.motions, solution.multipliers))
     meshes = [
         (transmission.closure, forces.pressing[name].torque / transmission.scale)
         for name, transmission in system.transmissions.items()

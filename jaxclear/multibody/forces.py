@@ -117,7 +117,7 @@ def applied_forces(
         q: coordinates, a tuple for each link.
         v: speeds, a tuple for each link.
         time: instant [s] of the loads.
-            followed: what the state integrates beside the motion: whole-turn angles, load states,
+        followed: what the state integrates beside the motion: whole-turn angles, load states,
             flanks.
     """
     relative = relative_motions(system, motions) if reports else []
@@ -263,7 +263,7 @@ def pressing_of(
             states = followed.states.get(name)
             end = transmissions.end_at_start(train, twist) if states is None else states[0]
         calls.append((transmissions.compliance_of(train), twist, end, followed.shares.get(name)))
-    result = map_grouped(transmissions.pressing, calls)
+    result = map_grouped(transmissions.press_flanks, calls)
     return dict(zip(system.transmissions, result, strict=True))
 
 
@@ -319,7 +319,7 @@ def as_pressed(
         motions: motion of every link at one instant, in the order of `system.links`.
         load: itself where no element presses it (`load.pressed_by`).
         time: instant [s].
-            followed: what the state integrates beside the motion: whole-turn angles, load states,
+        followed: what the state integrates beside the motion: whole-turn angles, load states,
             flanks.
     """
     name = load.pressed_by()

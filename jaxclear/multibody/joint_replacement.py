@@ -19,13 +19,13 @@ from jaxclear.components.load import AbstractStateLoad
 from jaxclear.ground.arguments import check_name, expect
 from jaxclear.ground.wording import listed
 from jaxclear.multibody.pose_rows import closing_rows
-from jaxclear.multibody.topology import Topology, coordinate_joint, free_joint, grow
+from jaxclear.multibody.topology import Topology, coordinate_joint, free_joint, grow_tree
 
 # Twists that say no more than others [m, 1]: rounding.
 SAME = 1e-9
 
 
-def exchanged(
+def exchange_joint(
     connections: Mapping[str, Connection], bodies: dict[str, Body], name: str, joint: Any
 ) -> dict[str, Connection]:
     """The connections with another joint between the same two markers; a drive is kept.
@@ -111,7 +111,7 @@ def start_arguments(
         ValueError: a body in space is held only by a joint that acts in a plane.
     """
     guess, speeds = dict(values["guess"]), dict(values["speeds"])
-    joint, after = connections[name].joint, grow(bodies, connections, first=first)
+    joint, after = connections[name].joint, grow_tree(bodies, connections, first=first)
     if before.branch_of(name) is None or not isinstance(joint, AbstractClearance):
         return guess, speeds
     afloat = {b.body for b in after.branches if b.connection is None}

@@ -153,7 +153,7 @@ def relative_jacobian(
         motions: motion of every link at one instant, in the order of `system.links`.
         closure: pair of markers.
         pose: the child's marker in the parent's.
-            rates: function of the pose, relative velocity [m/s] and spin [rad/s]: one rate for each
+        rates: function of the pose, relative velocity [m/s] and spin [rad/s]: one rate for each
             row.
     """
     rows: list[JacobianRow] = [{} for _ in rates(pose, sp.ZERO, sp.ZERO)]
@@ -178,7 +178,7 @@ def relative_jacobians(
         system: prepared mechanism, as `prepare` returns it.
         motions: motion of every link at one instant, in the order of `system.links`.
         closures: pairs of markers.
-            rates: for each closure a function, its first arguments (a tuple), and the pose; the
+        rates: for each closure a function, its first arguments (a tuple), and the pose; the
             function
             also takes the relative velocity and spin.
     """

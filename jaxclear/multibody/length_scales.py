@@ -21,17 +21,17 @@ AT_ONE_PLACE = 1e-6
 TOUCHING = 1e-12
 
 
-def turning(system: System) -> Bool[np.ndarray, " coordinates"]:
+def which_turn(system: System) -> Bool[np.ndarray, " coordinates"]:
     """Of each coordinate of the tree whether it turns: it is no length."""
     links = zip(system.topology.branches, system.links, strict=True)
     units = [u for branch, link in links if branch.coordinate_count for u in link.joint.units]
     return np.array([unit != "m" for unit in units], bool)
 
 
-def reaches(system: System, arm: Any) -> Float[Array, " coordinates"]:
+def reach_by_coordinate(system: System, arm: Any) -> Float[Array, " coordinates"]:
     """How far bodies move for a unit of each coordinate of the tree [m]: 1 for a length, the length
     `arm` [m] for what turns."""
-    return jnp.where(turning(system), arm, 1.0)
+    return jnp.where(which_turn(system), arm, 1.0)
 
 
 def rooms(system: System) -> Float[Array, " contacts"]:
@@ -63,7 +63,7 @@ def gaps_crossed(system: System, direction: Float[Array, " state"]) -> Scalar:
     """By how much places move at the most where a state moves so [1], beside the narrowest gap,
     beside the longest arm where there are none."""
     arm = longest_arm(system)
-    arms = reaches(system, arm)
+    arms = reach_by_coordinate(system, arm)
     gap = narrowest_gap(system) if system.bearings else arm
     return jnp.max(arms * abs(direction[: len(arms)]), initial=0.0) / gap
 

@@ -104,7 +104,7 @@ class Relative(NamedTuple):
     spin: sp.Vec
 
 
-def reverse(relative: Relative, turn: sp.Mat) -> Relative:
+def reverse_relative(relative: Relative, turn: sp.Mat) -> Relative:
     """The parent's marker as seen from the child's, both markers turned by `turn` (columns: the new
     axes in the old)."""
     (rotation, _), velocity, spin = relative

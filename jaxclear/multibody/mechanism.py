@@ -39,17 +39,17 @@ from jaxclear.ground.quantity import AbstractQuantified, as_number, on_device, w
 from jaxclear.ground.table import as_table
 from jaxclear.ground.wording import described, public_name
 from jaxclear.multibody import validation
-from jaxclear.multibody.joint_replacement import exchanged, start_arguments, without_loads_on
+from jaxclear.multibody.joint_replacement import exchange_joint, start_arguments, without_loads_on
 from jaxclear.multibody.loops import AsNeeded, Baumgarte, Projection
 from jaxclear.multibody.magnitudes import check_plane, warn_of_magnitudes
 from jaxclear.multibody.topology import (
     Redundancy,
     Topology,
     coordinate_units,
-    grow,
+    grow_tree,
+    is_sliding,
     moves_along,
     numbers_of_parts,
-    slides,
     unit_along,
 )
 from jaxclear.multibody.validation import check_couplings
@@ -177,7 +177,7 @@ def _describe_coupling(mechanism: Any, coupling: Any) -> str:
 def _describe_connection(mechanism: Any, name: str, connection: Connection) -> str:
     joint = connection.joint
     ends = f"{in_a_line(connection.parent)} to {in_a_line(connection.child)}"
-    along = slides(mechanism, name)
+    along = is_sliding(mechanism, name)
     parts = list(fields_in_words(joint, lambda metadata: unit_along(metadata, along)))
     part = [text for name, text in parts if not isinstance(getattr(joint, name), eqx.Module)]
     laws = [
@@ -305,7 +305,7 @@ class Mechanism(AbstractQuantified):
         validation.check_finite("the mechanism", self.start_arguments)
         self.bodies, self.connections, self.loads, self.couplings = _copy_shared_parts(parts)
         hinges = parts_of_beams(self.loads)
-        self.topology = grow(self.bodies, self.connections, self.couplings, hinges)
+        self.topology = grow_tree(self.bodies, self.connections, self.couplings, hinges)
         usual = isinstance(stabilisation, str) and stabilisation == "default"
         self.stabilisation = AsNeeded() if usual else stabilisation  # type: ignore[assignment]
         expect(
@@ -371,7 +371,7 @@ class Mechanism(AbstractQuantified):
         Raises:
             ValueError: for a name that does not exist, or a joint that does not fit.
         """
-        connections = exchanged(self.connections, self.bodies, name, joint)
+        connections = exchange_joint(self.connections, self.bodies, name, joint)
         start = dict(self.start_arguments)
         start["guess"], start["speeds"] = start_arguments(
             self.topology, connections, self.bodies, name, start, parts_of_beams(self.loads)

@@ -83,7 +83,7 @@ class Part(NamedTuple):
     inner: str
 
 
-def carried(connection: Connection) -> Part:
+def carried_marker(connection: Connection) -> Part:
     """The child, or the parent where the child is the ground."""
     parent, child = connection.parent, connection.child
     if child.body == GROUND:
@@ -96,7 +96,7 @@ def meshing_parts(
 ) -> tuple[Part, ...]:
     """What the joints of a coupling carry. Against the joint of its own carrier a wheel moves on
     the part that carries both: the planet on a fixed sun, the rolling wheel on the ground."""
-    parts = tuple(carried(connections[name]) for name in coupling.joints())
+    parts = tuple(carried_marker(connections[name]) for name in coupling.joints())
     bodies = [part.marker.body for part in parts]
     if len(parts) == 1 or bodies[0] == bodies[1]:
         return parts
@@ -118,7 +118,7 @@ def rolls_on_its_carriers_base(
     coupling: AbstractBodyCoupling, connections: dict[str, Connection]
 ) -> bool:
     """Whether one of its joints moves the carrier of what the other carries."""
-    sides = [carried(connections[name]).is_child for name in coupling.joints()]
+    sides = [carried_marker(connections[name]).is_child for name in coupling.joints()]
     return sides != [part.is_child for part in meshing_parts(coupling, connections)]
 
 
@@ -199,7 +199,7 @@ def _poses_at_home(
     return places
 
 
-def mesh(
+def make_mesh_reading(
     coupling: AbstractBodyCoupling,
     topology: Topology,
     bodies: dict[str, Body],

@@ -3,8 +3,8 @@ positions without time, beside singular positions, where rows are redundant.
 
 Who asks states equations as blocks (`start_equations`); a step is the least change, in radians and
 longest arms, that meets them in their order (`nearer`), or, where some follow from others or
-contradict them, Levenberg's (`settled`). Rotations never leave their group (`retract`), and no step
-is longer than what keeps the search on its branch.
+contradict them, Levenberg's (`damped_step`). Rotations never leave their group (`retract`), and no
+step is longer than what keeps the search on its branch.
 """
 
 from typing import Any, NamedTuple
@@ -16,7 +16,7 @@ from jaxtyping import Array, Bool
 
 from jaxclear.ground import factorisation
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.factorisation import Change, least_change, of_rank
+from jaxclear.ground.factorisation import Change, least_change, reduce_to_rank
 from jaxclear.multibody.start_equations import (
     JOURNAL,
     LOOP,
@@ -25,7 +25,7 @@ from jaxclear.multibody.start_equations import (
     Block,
     position_blocks,
     retract,
-    scaled,
+    scale,
     speed_scales,
     stacked,
 )
@@ -79,12 +79,12 @@ def closed(
     """
     if not blocks_of(problem, q, time, kinds):
         return q
-    step = settled if damped else nearer
+    step = damped_step if damped else nearer
     again = lambda q, _: (step(problem, q, blocks_of(problem, q, time, kinds)), None)
     return jax.lax.scan(again, q, length=count)[0]
 
 
-def shortened(step: Array, scales: Array, longest: float = LONGEST_STEP) -> Array:
+def shorten_step(step: Array, scales: Array, longest: float = LONGEST_STEP) -> Array:
     """A step scaled down to a largest length.
 
     The scaling is not differentiated: steps that decide are short, and the derivative of a largest
@@ -109,11 +109,11 @@ def nearer(problem: Ask, q: Array, blocks: list[Block], near: Near | None = None
         blocks: equations whose linearisation is solved exactly, by the least step.
         near: equations that the step reduces as far as the blocks leave freedom; None: none.
     """
-    step = -least(problem, blocks, near).change
-    return retract(problem.system, q, shortened(step, speed_scales(problem)))
+    step = -least_step(problem, blocks, near).change
+    return retract(problem.system, q, shorten_step(step, speed_scales(problem)))
 
 
-def settled(problem: Ask, q: Array, blocks: list[Block]) -> Array:
+def damped_step(problem: Ask, q: Array, blocks: list[Block]) -> Array:
     """Coordinates after one damped step; equations may follow from or contradict each other.
 
     Args:
@@ -122,8 +122,8 @@ def settled(problem: Ask, q: Array, blocks: list[Block]) -> Array:
         blocks: equations whose residual is reduced.
     """
     scales = speed_scales(problem)
-    step = scales * levenberg(*scaled(problem, blocks))
-    return retract(problem.system, q, shortened(step, scales))
+    step = scales * levenberg(*scale(problem, blocks))
+    return retract(problem.system, q, shorten_step(step, scales))
 
 
 def levenberg(rows: Array, rest: Array, least_damping: float = LEAST_DAMPING) -> Array:
@@ -144,7 +144,7 @@ def levenberg(rows: Array, rest: Array, least_damping: float = LEAST_DAMPING) ->
     return -(rows.T @ sp.stack(factorisation.solve(factors, tuple(rest))))
 
 
-def least(problem: Ask, blocks: list[Block], near: Near | None = None) -> Change:
+def least_step(problem: Ask, blocks: list[Block], near: Near | None = None) -> Change:
     """The least change of the free speeds that meets the blocks, and nearly `near`.
 
     Args:
@@ -157,7 +157,7 @@ def least(problem: Ask, blocks: list[Block], near: Near | None = None) -> Change
     rest = [block for block in blocks if block.kind != LOOP]
     first = stacked(problem, loops)
     if redundancy is not None and len(first[0]) > redundancy.rank:
-        first = of_rank(*first, scales, redundancy.rank)
+        first = reduce_to_rank(*first, scales, redundancy.rank)
     rows, rhs = (
         jnp.concatenate(parts) for parts in zip(first, stacked(problem, rest), strict=True)
     )
@@ -165,7 +165,7 @@ def least(problem: Ask, blocks: list[Block], near: Near | None = None) -> Change
         return least_change(rows, rhs, scales)
     # Each has an unknown of its own, by which it is missed: with the damping of Levenberg, the
     # least of all together is the least square of what is missed.
-    close, missed = (near.weight * part for part in scaled(problem, near.blocks))
+    close, missed = (near.weight * part for part in scale(problem, near.blocks))
     damping = jnp.sqrt(DAMPING * jnp.sum(missed * missed) + LEAST_DAMPING)
     count, free = len(missed), len(scales)
     entry = jnp.concatenate([jnp.zeros((len(rhs), count)), damping * jnp.eye(count)])
@@ -175,13 +175,13 @@ def least(problem: Ask, blocks: list[Block], near: Near | None = None) -> Change
     return Change(result.change[:free], result.exact[: len(rhs)])
 
 
-def independent(problem: Ask, q: Array) -> dict[str, Bool[Array, ""]]:
+def which_independent(problem: Ask, q: Array) -> dict[str, Bool[Array, ""]]:
     """By name whether what `start` gives is left free by the loops, journals that are to be
     concentric, and what is given before."""
     blocks = position_blocks(problem, q, 0.0)
     start_last = [b for kinds in ((LOOP,), (JOURNAL,), (START,)) for b in blocks if b.kind in kinds]
     report = [block for block in blocks if block.kind == START]
-    peaks = least(problem, start_last).exact
+    peaks = least_step(problem, start_last).exact
     ends = len(peaks) - sum(len(b.rest) for b in report) + np.cumsum([len(b.rest) for b in report])
     return {
         block.name: jnp.all(peaks[end - len(block.rest) : end])

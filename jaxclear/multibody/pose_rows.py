@@ -46,7 +46,7 @@ class BeyondMotion(eqx.Module):
     rows: tuple[str, ...] = eqx.field(static=True)
 
     def residuals(self, pose: Pose) -> tuple:
-        rotation, translation = beyond(self.joint, pose)
+        rotation, translation = departure_from_motion(self.joint, pose)
         return tuple(
             translation["xyz".index(row)] if len(row) == 1 else _turn(rotation, *OTHERS[row])
             for row in self.rows
@@ -108,7 +108,7 @@ def _choose_directions(form: Any, leaves: tuple) -> tuple[str, ...]:
     return tuple(sorted((DIRECTIONS[i] for i in order[:fixed]), key=DIRECTIONS.index))
 
 
-def beyond(joint: AbstractJoint, pose: Pose) -> Pose:
+def departure_from_motion(joint: AbstractJoint, pose: Pose) -> Pose:
     """What a pose departs from the motion of a joint, in the axes of the child."""
     return joint.motion(joint.coordinates_at(pose)).inverse().after(pose)
 

@@ -348,10 +348,10 @@ def tip_error(
     Args:
         chain: as it is.
         actual: motions and deviations of its joints.
-            nominal_chain: chain of the same connections whose fixed dimensions may differ, which
+        nominal_chain: chain of the same connections whose fixed dimensions may differ, which
             counts in
             the exact error only; None: the same.
-            nominal: configuration about which the first order is taken; None: `actual` without
+        nominal: configuration about which the first order is taken; None: `actual` without
             deviations.
     """
     start_chain = chain if nominal_chain is None else nominal_chain

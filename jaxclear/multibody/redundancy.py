@@ -27,11 +27,11 @@ from jaxclear.multibody.pose_rows import closing_rows
 from jaxclear.multibody.start_equations import (
     Ask,
     Start,
-    ask,
     motions_at,
     retract,
     speed_scales,
     stacked,
+    start_problem,
 )
 from jaxclear.multibody.topology import Redundancy
 from jaxclear.native import compiled_sooner
@@ -86,10 +86,10 @@ def is_suspect(mechanism: Mechanism, start: Start) -> bool:
         )
         for name in mechanism.topology.loops
     )
-    return fixed or depend(start)
+    return fixed or has_dependent_rows(start)
 
 
-def depend(start: Start) -> bool:
+def has_dependent_rows(start: Start) -> bool:
     """Whether rows that motion changes follow from others at the start."""
     jacobian = np.concatenate([np.asarray(part) for part in start.jacobians.values()])
     return rank_of(jacobian) < len(jacobian)
@@ -138,7 +138,7 @@ def redundancy(mechanism: Mechanism, start: Start, time: Any) -> Redundancy | No
     acting = {name for row in rows if row.fixed for name in row.around}
     joints = tuple(name for name in mechanism.connections if name in acting)
     rank, follow = len(moving), []
-    if depend(start):
+    if has_dependent_rows(start):
         place = _most_of_rank(mechanism, rows, start, time)
         rank, joints = place.rank, _undetermined(mechanism, rows, place)
         new = is_new(np.asarray(place.jacobian))
@@ -148,7 +148,7 @@ def redundancy(mechanism: Mechanism, start: Start, time: Any) -> Redundancy | No
     return Redundancy(rank, bool(follow), extra, joints) if extra else None
 
 
-def searched(redundancy: Redundancy | None, start: Start) -> Redundancy:
+def with_search(redundancy: Redundancy | None, start: Start) -> Redundancy:
     """The same of loops that are closed by a damped search only."""
     rank = sum(len(jacobian) for jacobian in start.jacobians.values())
     return dataclasses.replace(redundancy or Redundancy(rank, False), far=True)
@@ -156,7 +156,7 @@ def searched(redundancy: Redundancy | None, start: Start) -> Redundancy:
 
 def _most_of_rank(mechanism: Mechanism, rows: tuple[Row, ...], start: Start, time: Any) -> Place:
     """The start, or the position near it in which the rows are of a larger rank."""
-    scales = np.asarray(speed_scales(ask(mechanism, False)))
+    scales = np.asarray(speed_scales(start_problem(mechanism, False)))
     best = _place_of(mechanism, rows, start.coordinates, time)
     arm = float(best.arm)
     free = np.linalg.svd(best.jacobian)[2][best.rank :]
@@ -177,7 +177,7 @@ def _most_of_rank(mechanism: Mechanism, rows: tuple[Row, ...], start: Start, tim
 @compiled_quickly
 def _moved(mechanism: Mechanism, q: Array, step: Array, time: Any) -> tuple[Array, Array]:
     """Coordinates moved by a step, the loops closed anew, and what is left of these [m, 1]."""
-    problem = ask(mechanism, False)
+    problem = start_problem(mechanism, False)
 
     def close():
         there = closed(problem, retract(problem.system, q, step), time, ITERATIONS, damped=True)
@@ -190,7 +190,7 @@ def _moved(mechanism: Mechanism, q: Array, step: Array, time: Any) -> tuple[Arra
 @compiled_quickly
 def _place_of(mechanism: Mechanism, rows: tuple[Row, ...], q: Array, time: Any) -> Place:
     """Which rows of loops depend on each other at these coordinates."""
-    problem = ask(mechanism, False)
+    problem = start_problem(mechanism, False)
     system = problem.system
 
     def through(motions, forces):
@@ -234,7 +234,7 @@ def is_new(jacobian: np.ndarray) -> Iterator[bool]:
 def _list_rows(mechanism: Mechanism, q: Array, time: Any) -> tuple[Row, ...]:
     """The rows of all loops, those that no motion changes included where they say something or may
     be loaded."""
-    problem, counts_fixed, rows = ask(mechanism, False), _counts_fixed_rows(mechanism), []
+    problem, counts_fixed, rows = start_problem(mechanism, False), _counts_fixed_rows(mechanism), []
     system, motions = problem.system, _motions(problem, q, time)
     loops = zip(system.topology.loops, system.closures, strict=True)
     for k, (joint, closure) in enumerate(loops):

@@ -13,8 +13,8 @@ from jaxclear.ground.quantity import is_traced
 from jaxclear.ground.wording import listed
 from jaxclear.multibody import transmissions
 from jaxclear.multibody.mechanism import Mechanism
-from jaxclear.multibody.newton import independent
-from jaxclear.multibody.start_equations import Start, ask, motions_at, retract
+from jaxclear.multibody.newton import which_independent
+from jaxclear.multibody.start_equations import Start, motions_at, retract, start_problem
 from jaxclear.multibody.system import System
 from jaxclear.multibody.topology import coordinate_joint, moves_along
 from jaxclear.native.compiled import compiled_quickly
@@ -115,7 +115,7 @@ def _open_loop(mechanism: Mechanism, start: Start, name: str) -> str:
     exactly = (
         " Loops that hold each other (parallel cranks, a ring of skew hinges) close only where "
         f"lengths and axes fit exactly, to {CLOSED:.0e} m."
-        if missed <= NEARLY * float(ask(mechanism, False).arm)
+        if missed <= NEARLY * float(start_problem(mechanism, False).arm)
         else ""
     )
     remedy = (
@@ -169,7 +169,7 @@ def _missed_coordinate_sentence(mechanism: Mechanism, start: Start, name: str) -
     joint = coordinate_joint(name, mechanism.bodies, mechanism.connections)
     values, missed = mechanism.start[name], start.missed[name]
     entry = f'"{name}": {_in_words(values)}'
-    if name not in determined(mechanism, start):
+    if name not in determined_names(mechanism, start):
         return (
             f"no way to assemble with start={{{entry}}} was found from the guess of the other "
             f"joints: {_most(missed):.3g} (rad, or longest arms) remain. Give start= or "
@@ -212,10 +212,10 @@ def _in_words(values: tuple) -> str:
 
 
 def _scale_of_joint(mechanism: Mechanism, joint: Any) -> float:
-    return float(ask(mechanism, False).arm) if joint.units[0] == "m" else 1.0
+    return float(start_problem(mechanism, False).arm) if joint.units[0] == "m" else 1.0
 
 
-def determined(mechanism: Mechanism, start: Start) -> tuple[str, ...]:
+def determined_names(mechanism: Mechanism, start: Start) -> tuple[str, ...]:
     """Names of what `start` gives although loops, drives and what is given before determine it, and
     so do journals that lie in the middle of their bearings."""
     rest = [_most(start.residuals.get(name, np.inf)) for name in mechanism.topology.clearances]
@@ -226,8 +226,8 @@ def determined(mechanism: Mechanism, start: Start) -> tuple[str, ...]:
 
 @compiled_quickly
 def _free(mechanism: Mechanism, concentric: bool, q: Any, jolt: Any) -> dict[str, Any]:
-    problem = ask(mechanism, concentric)
-    return independent(problem, retract(problem.system, q, jolt))
+    problem = start_problem(mechanism, concentric)
+    return which_independent(problem, retract(problem.system, q, jolt))
 
 
 def _small_step_from(start: Start) -> np.ndarray:
@@ -271,7 +271,7 @@ def _limits_exceeded(
 ) -> list:
     """The longest arm [m], and how far the start is beyond stops and inside flanks [rad, m];
     stops of joints outside the tree are not looked at."""
-    problem = ask(mechanism, False)
+    problem = start_problem(mechanism, False)
     system, still = problem.system, jnp.zeros(problem.system.topology.speed_count)
     motions = motions_at(problem, q, still, 0.0)[2]
     result = [problem.arm]

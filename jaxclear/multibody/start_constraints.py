@@ -20,7 +20,7 @@ from jaxclear.ground.compiling import map_many
 from jaxclear.ground.pose import REST
 from jaxclear.multibody import kinematics
 from jaxclear.multibody.kinematics import JacobianRow
-from jaxclear.multibody.loops import Closure, Relative, reverse
+from jaxclear.multibody.loops import Closure, Relative, reverse_relative
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.system import System
 from jaxclear.multibody.topology import Branch, coordinate_joint
@@ -49,7 +49,7 @@ def reversed_motion(joint: AbstractJoint, q: tuple, v: tuple) -> tuple[tuple, tu
         for parts in ([c.linear for c in columns], [c.angular for c in columns])
     )
     out = Relative(pose, sp.apply(pose.rotation, linear), sp.apply(pose.rotation, angular))
-    back = reverse(out, joint.reversal)
+    back = reverse_relative(out, joint.reversal)
     return joint.coordinates_at(back.pose), joint.speeds_at(*back)
 
 

@@ -99,7 +99,7 @@ class Block(NamedTuple):
     rows: list[kinematics.JacobianRow]
 
 
-def ask(mechanism: Mechanism, concentric: bool, worn: dict | None = None) -> Ask:
+def start_problem(mechanism: Mechanism, concentric: bool, worn: dict | None = None) -> Ask:
     """The equations of a mechanism's start.
 
     Args:
@@ -161,7 +161,7 @@ def motions_at(problem: Ask, q: Array, v: Array, time: Any) -> tuple[tuple, tupl
     """Coordinates and speeds by branch, and the motions of all links.
 
     Args:
-        problem: equations of the start (`ask`).
+        problem: equations of the start (`start_problem`).
         q: coordinates of the tree, shape (coordinates,) [rad, m; 1 for quaternions].
         v: free speeds, shape (speeds,) [rad/s, m/s].
         time: instant [s] at which drives are evaluated.
@@ -186,7 +186,7 @@ def place_at(problem: Ask, q: Array, time: Any) -> Place:
     """The mechanism at rest at coordinates of the tree.
 
     Args:
-        problem: equations of the start (`ask`).
+        problem: equations of the start (`start_problem`).
         q: coordinates of the tree, shape (coordinates,) [rad, m; 1 for quaternions].
         time: instant [s] at which drives are evaluated.
     """
@@ -200,7 +200,7 @@ def position_blocks(problem: Ask, q: Array, time: Any) -> list[Block]:
     """Equations in the coordinates for all that is held, in order of priority.
 
     Args:
-        problem: equations of the start (`ask`).
+        problem: equations of the start (`start_problem`).
         q: coordinates at which residual and Jacobian are taken, shape (coordinates,).
         time: instant [s] at which drives are evaluated.
     """
@@ -255,7 +255,7 @@ def speed_blocks(problem: Ask, q: Array, v: Array, time: Any) -> list[Block]:
     """Equations in the speeds for all that is held, in order of priority.
 
     Args:
-        problem: equations of the start (`ask`).
+        problem: equations of the start (`start_problem`).
         q: coordinates of the tree, shape (coordinates,) [rad, m; 1 for quaternions].
         v: free speeds at which the residual is taken, shape (speeds,).
         time: instant [s] at which drives are evaluated.
@@ -311,7 +311,7 @@ def jacobians(problem: Ask, blocks: list[Block]) -> list[Array]:
     return jnp.split(stacked(problem, blocks)[0], ends[:-1])
 
 
-def scaled(problem: Ask, blocks: list[Block]) -> tuple[Array, Array]:
+def scale(problem: Ask, blocks: list[Block]) -> tuple[Array, Array]:
     """The same by radians and longest arms, of speeds too."""
     rows, rest = stacked(problem, blocks)
     measure = jnp.concatenate([jnp.zeros(0), *(block.measure for block in blocks)])
@@ -398,4 +398,4 @@ def _start_block(
 def _dense_rows(problem: Ask, rows: list[kinematics.JacobianRow]) -> Float[Array, "rows v"]:
     count = problem.system.topology.speed_count
     entries = {(i, j): x for i, row in enumerate(rows) for j, x in row.items()}
-    return factorisation.placed(entries, (len(rows), count))
+    return factorisation.dense_array(entries, (len(rows), count))

@@ -147,7 +147,7 @@ def lay_out(
     position = topology.coordinate_count + topology.speed_count
     samples = {}
     for name, bearing in system.bearings.items():
-        offset, axes, overlaps, contact_candidates = probe(system, bearing)
+        offset, axes, overlaps, contact_candidates = probe_joint(system, bearing)
         kinds = []
         for laws, candidate in zip(bearing.contact_laws, contact_candidates, strict=True):
             template = memory_template(laws, candidate)
@@ -206,7 +206,7 @@ def _iterate_wear_slots(system: System, samples: dict[str, tuple]) -> list[tuple
     return result
 
 
-def probe(system: System, bearing: Bearing) -> tuple:
+def probe_joint(system: System, bearing: Bearing) -> tuple:
     """(offset, axes, indentations, contact candidates) of a clearance joint somewhere: for what
     does not depend on the place.
     """
@@ -239,7 +239,7 @@ def contact_components(system: System) -> tuple[tuple[str, int], ...]:
 @by_form
 def components(system: System, bearing: Bearing) -> tuple[int, ...]:
     """By contact of a clearance joint, how many components its force has."""
-    return tuple(map(component_count, bearing.contact_laws, probe(system, bearing)[3]))
+    return tuple(map(component_count, bearing.contact_laws, probe_joint(system, bearing)[3]))
 
 
 def _is_planar(system):
@@ -313,7 +313,7 @@ def unpack_followed(layout: Layout, entries: Any, shares: Any = None) -> Followe
     Args:
         layout: where they sit.
         entries: of a state, an array or a list of scalars.
-            shares: 1 for touching and 0 for apart, for the two flanks of each play in turn; None:
+        shares: 1 for touching and 0 for apart, for the two flanks of each play in turn; None:
             as their
             positions have it.
     """
@@ -327,7 +327,7 @@ def unpack_followed(layout: Layout, entries: Any, shares: Any = None) -> Followe
     return Followed(angles, states, report)
 
 
-def bounds(system: System, layout: Layout) -> dict[int, Any]:
+def state_bounds(system: System, layout: Layout) -> dict[int, Any]:
     """The size at which states stand still, by their place in the state, of those that have one:
     deflections of friction that holds."""
     most: list[Any] = [x.saturation for _, load in coordinate_loads(system) for x in load.states()]
@@ -348,7 +348,7 @@ def within_bounds(system: System, layout: Layout, state: Any) -> Any:
         layout: where these states sit.
         state: shape (n,).
     """
-    for place, most in bounds(system, layout).items():
+    for place, most in state_bounds(system, layout).items():
         state = state.at[place].set(jnp.clip(state[place], -most, most))
     return state
 

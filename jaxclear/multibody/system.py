@@ -35,7 +35,7 @@ from jaxclear.ground.pose import REST, Pose
 from jaxclear.multibody.contact_point import fitted_laws
 from jaxclear.multibody.loops import LENGTH, TURN, Closure, CoordinateSum, SummedCoordinate
 from jaxclear.multibody.mechanism import Mechanism
-from jaxclear.multibody.meshes import drawn_pose, markers, mesh, meshing_parts
+from jaxclear.multibody.meshes import drawn_pose, make_mesh_reading, markers, meshing_parts
 from jaxclear.multibody.pose_rows import CoordinateOf, closing_rows, reading_of
 from jaxclear.multibody.topology import (
     Branch,
@@ -333,7 +333,7 @@ def _make_meshing_row(mechanism: Mechanism, coupling: Any, frames: dict[str, Pos
     ends = markers(coupling, connections)
     parent, child = (frames[marker.body].after(marker.pose()) for marker in ends)
     first, second = (topology.index(marker.body) for marker in ends)
-    reading = mesh(coupling, topology, mechanism.bodies, connections)
+    reading = make_mesh_reading(coupling, topology, mechanism.bodies, connections)
     return Closure(parent, child, first, second, (LENGTH,), reading)
 
 

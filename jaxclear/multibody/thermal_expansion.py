@@ -11,7 +11,7 @@ from typing import Any
 import equinox as eqx
 import jax
 
-from jaxclear.components.beam import beam_of, wholes
+from jaxclear.components.beam import beam_of, whole_bodies
 from jaxclear.components.body import GROUND, Body, Marker
 from jaxclear.components.clearance import AbstractClearance
 from jaxclear.ground.argument_errors import answering
@@ -45,7 +45,7 @@ def apply_thermal_expansion(mechanism: Mechanism, rise: Any, expansion: Any) -> 
     """
     expect(mechanism, Mechanism, "what expands", "a jaxclear.Mechanism")
     check_number("rise of apply_thermal_expansion", rise, "K")
-    values = [GROUND, *wholes(mechanism.bodies)]
+    values = [GROUND, *whole_bodies(mechanism.bodies)]
     if isinstance(expansion, Mapping):
         for name, value in expansion.items():
             check_name("body", name, values, " in this mechanism")

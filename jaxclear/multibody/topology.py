@@ -202,8 +202,7 @@ def coordinate_joint(
     """The joint in whose coordinates a name is given and read.
 
     It is the connection's, also where that closes a loop or has clearance; for a body the joint
-    that
-    places it in the ground.
+    that places it in the ground.
 
     Args:
         name: connection, body, or motor.
@@ -226,7 +225,7 @@ def rubbing_in(connections: dict[str, Connection]) -> dict[str, AbstractRubbingJ
     return {n: joint for n, joint in joints.items() if isinstance(joint, AbstractRubbingJoint)}
 
 
-def grow(
+def grow_tree(
     bodies: dict[str, Body],
     connections: dict[str, Connection],
     couplings: Mapping[str, AbstractCoupling] | None = None,
@@ -343,7 +342,7 @@ def numbers_of_parts(mechanism: Any) -> Iterator[tuple[str, Any, Mapping[str, An
     for part in ("bodies", "connections", "loads", "couplings"):
         for name, entry in dict.items(getattr(mechanism, part)):
             joint = part == "connections"
-            along = slides(mechanism, name) if joint else moves_along(mechanism, entry)
+            along = is_sliding(mechanism, name) if joint else moves_along(mechanism, entry)
             for path, leaf, metadata in numbers(entry, f'{part}["{name}"]'):
                 yield path, leaf, metadata, unit_along(metadata, along)
     for path, leaf, metadata in numbers(mechanism.stabilisation, "stabilisation"):
@@ -362,15 +361,15 @@ def moves_along(mechanism: Any, part: Any) -> bool:
     """Whether a load, or the play of a coupling, is along a coordinate that slides."""
     if isinstance(part, AbstractForceCoupling):
         place = part.along()
-        return place is None or slides(mechanism, place)
+        return place is None or is_sliding(mechanism, place)
     if acts_on_coordinates(part):
-        return slides(mechanism, part.coordinates()[0])
+        return is_sliding(mechanism, part.coordinates()[0])
     if not isinstance(part, AbstractCoupling):
         return False
     coupling: Any = part
     if isinstance(part, AbstractCoordinateCoupling) or part.motor is not None:
         first = coupling.terms()[0].joint
-        return isinstance(first, str) and slides(mechanism, first)
+        return isinstance(first, str) and is_sliding(mechanism, first)
     return bool(coupling.has_linear_play)
 
 
@@ -384,7 +383,7 @@ def turns(mechanism: Any, coupling: Any) -> bool:
     return not moves_along(mechanism, coupling)
 
 
-def slides(mechanism: Any, name: str) -> bool:
+def is_sliding(mechanism: Any, name: str) -> bool:
     """Whether a joint has the one coordinate along which it slides."""
     return coordinate_units(mechanism, name) == ("m",)
 

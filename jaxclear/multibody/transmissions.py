@@ -23,7 +23,7 @@ from jaxclear.components.function_of_angle import value_and_slope
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import positive_part, safe_divide, safe_sqrt
 from jaxclear.ground.quantity import constant
-from jaxclear.laws.transmission import bounded, one_sided
+from jaxclear.laws.transmission import bounded_damper, one_sided
 from jaxclear.multibody import kinematics, pose_rows
 from jaxclear.multibody.coordinate_sums import read_sum
 from jaxclear.multibody.loops import Closure, CoordinateSum
@@ -124,7 +124,7 @@ def compliance_of(train: Transmission) -> Compliance:
     return Compliance(coupling.play, coupling.stiffness, coupling.damping, coupling.slack_twist())
 
 
-def pressing(
+def press_flanks(
     spring: Compliance, twist: CouplingTwist, end: Any = None, shares: Any = None
 ) -> Pressing:
     """Torque, energy and flanks of a transmission at a twist.
@@ -232,7 +232,7 @@ def _mean_strand_torque(belt: Compliance, twist: CouplingTwist, length: Any) -> 
         depth, share = _mean_depth(belt.slack + sign * twist.value, sign * length * twist.rate)
         elastic = 0.5 * belt.stiffness * depth
         viscous = 0.0 if belt.damping is None else 0.5 * belt.damping * share * sign * twist.rate
-        torques.append(elastic + bounded(elastic, viscous))
+        torques.append(elastic + bounded_damper(elastic, viscous))
     return torques[0] - torques[1]
 
 
@@ -244,7 +244,7 @@ def mean_torque(spring: Compliance, twist: CouplingTwist, end: Any, length: Any)
     Args:
         spring: play, stiffness and damping.
         twist: at the start of the step, with its mean rate over the step.
-        end: position of the shaft's far end at the start (`pressing`); None: the law has none.
+        end: position of the shaft's far end at the start (`press_flanks`); None: the law has none.
         length: of the step [s].
 
     Source: Gonzalez 1996, J. Nonlinear Sci. 6, 449, doi:10.1007/BF02440162.
@@ -279,7 +279,7 @@ def end_at_start(train: Transmission, twist: CouplingTwist) -> Any:
 
 
 def torque_on_flanks(train: Transmission, depths: Any, rates: Any) -> Any:
-    """Torques [N m, N] of flanks at given depths and rates, by the law of `pressing`.
+    """Torques [N m, N] of flanks at given depths and rates, by the law of `press_flanks`.
 
     Args:
         train: transmission with play.

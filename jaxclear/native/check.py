@@ -24,14 +24,14 @@ from jaxclear.native.control import is_an_error
 from jaxclear.native.program import (
     Program,
     Table,
-    applied,
+    apply,
+    arrays_in_memory,
     avals_of,
-    changing,
     floats_in,
     in_memory,
     packed,
     packed_state,
-    replayed,
+    replay,
     row_of,
     scan_counts,
 )
@@ -69,12 +69,9 @@ def check(program: Program, kernel: Turn, reference: Turn, other: str = "JAX") -
     """Compares one turn of a kernel on random numbers with another evaluation of it.
 
     Where a difference of like numbers is exactly zero in one order of operations and rounding in
-    the
-    other, a choice or quotient that depends on it may differ. That does not recur: one draw may
-    disagree
-    where two agree conclusively; a fault shows in several. States with entries of either sign may
-    be
-    impossible for the loop: among these one draw that agrees outweighs the others.
+    the other, a choice or quotient that depends on it may differ. That does not recur: one draw may
+    disagree where two agree conclusively; a fault shows in several. States with entries of either
+    sign may be impossible for the loop: among these one draw that agrees outweighs the others.
 
     Args:
         program: the loop, its condition and body as JAX programs.
@@ -115,7 +112,7 @@ def compared(program: Program, kernel: Turn, reference: Turn, draw: int) -> tupl
     constants, state = avals_of(program)
     samples = [_within_tables(program, sample) for sample in random_values(constants, state, draw)]
     results = kernel(samples)
-    expected, changed = reference(samples), reference([nudged(sample) for sample in samples])
+    expected, changed = reference(samples), reference([nudge_values(sample) for sample in samples])
     first = np.zeros(results.shape)
     before = np.array([packed(s[len(constants) :]) for s in samples])
     first[:, : before.shape[1]] = before
@@ -124,7 +121,7 @@ def compared(program: Program, kernel: Turn, reference: Turn, draw: int) -> tupl
     is_compared = np.any((expected != first) | (results != first), axis=0)
     is_compared[: len(long)] |= ~long
     parts = [(a[:1, is_compared], a[1:, is_compared]) for a in (results, expected, changed, first)]
-    usual, others = (judged(*part) for part in zip(*parts, strict=True))
+    usual, others = (judge_results(*part) for part in zip(*parts, strict=True))
     return usual, others.agrees
 
 
@@ -135,7 +132,7 @@ def turn_by_jax(program: Program, samples: list) -> np.ndarray:
 
     def by_jax(sample):
         body_arguments = sample[program.condition_constants :]
-        out = evaluated(program.body, body_arguments)
+        out = evaluate(program.body, body_arguments)
         rows = zip(program.tables, out[state:], strict=True)
         return packed([*out, *(_first_row(table, row, body_arguments) for table, row in rows)])
 
@@ -150,32 +147,32 @@ def turn_by_jax(program: Program, samples: list) -> np.ndarray:
     return np.array(rows)
 
 
-def evaluated(program: ClosedJaxpr, arguments: Sequence[Any]) -> list:
+def evaluate(program: ClosedJaxpr, arguments: Sequence[Any]) -> list:
     """A program's results, one of JAX's operations after the other: nothing of the rules, and no
     loop without an end."""
-    return replayed(program, arguments, _apply_exactly)
+    return replay(program, arguments, _apply_exactly)
 
 
 def _apply_exactly(equation: Any, inputs: list) -> Sequence[Any]:
     name, p = equation.primitive.name, equation.params
     if name == "cond":
-        return evaluated(p["branches"][int(inputs[0])], inputs[1:])
+        return evaluate(p["branches"][int(inputs[0])], inputs[1:])
     if name == "scan":
         return _evaluate_scan(p, inputs)
     if name == "while":
         first, second = p["cond_nconsts"], p["cond_nconsts"] + p["body_nconsts"]
         state = inputs[second:]
         for _ in range(LONGEST_LOOP):
-            if not evaluated(p["cond_jaxpr"], [*inputs[:first], *state])[0]:
+            if not evaluate(p["cond_jaxpr"], [*inputs[:first], *state])[0]:
                 return state
-            state = evaluated(p["body_jaxpr"], [*inputs[first:second], *state])
+            state = evaluate(p["body_jaxpr"], [*inputs[first:second], *state])
         raise Unsupported("a loop within the loop that does not end on random numbers")
     if name == "jaxclear_loop" and not p["rank"]:
         # As in a kernel that is checked: one turn.
-        return evaluated(p["program"].body, inputs[p["program"].condition_constants :])
+        return evaluate(p["program"].body, inputs[p["program"].condition_constants :])
     if name == "pure_callback" and is_an_error(p):
         return [jnp.full(v.aval.shape, jnp.nan) for v in equation.outvars]
-    return applied(equation, inputs, p)
+    return apply(equation, inputs, p)
 
 
 def _evaluate_scan(p: dict, inputs: list) -> list:
@@ -183,7 +180,7 @@ def _evaluate_scan(p: dict, inputs: list) -> list:
     carry, rows, outputs = inputs[fixed:][:carried], inputs[fixed + carried :], []
     turns = range(p["length"])
     for i in reversed(turns) if p["reverse"] else turns:
-        results = evaluated(p["jaxpr"], [*inputs[:fixed], *carry, *[row[i] for row in rows]])
+        results = evaluate(p["jaxpr"], [*inputs[:fixed], *carry, *[row[i] for row in rows]])
         carry = results[:carried]
         outputs.append(results[carried:])
     outputs = outputs[::-1] if p["reverse"] else outputs
@@ -207,7 +204,7 @@ def turn_by_kernel(program: Program, address: int, samples: list) -> np.ndarray:
     flat = np.ascontiguousarray(rows)
     big = [np.ascontiguousarray([s[i] for s in samples]) for i, k in enumerate(is_long) if k]
     out = np.zeros((len(samples), floats_in(packed_state(program))))
-    long = [np.zeros((len(samples), _floats_of(aval))) for aval in changing(program)]
+    long = [np.zeros((len(samples), _floats_of(aval))) for aval in arrays_in_memory(program)]
     tables = [
         np.zeros((len(samples), table.height, _floats_of(aval)))
         for table, aval in zip(program.tables, row_of(program), strict=True)
@@ -271,7 +268,7 @@ def random_values(constants: list, state: list, draw: int) -> list[list[np.ndarr
     return [[*fixed_values, *(first if size == 1.0 else resized(size))] for size in SIZES]
 
 
-def nudged(sample: list[np.ndarray]) -> list[np.ndarray]:
+def nudge_values(sample: list[np.ndarray]) -> list[np.ndarray]:
     """The same values, each float changed in its last digits, up or down by chance: what cancels
     within an array must not cancel any more."""
     rng = np.random.default_rng(1)
@@ -283,7 +280,7 @@ def nudged(sample: list[np.ndarray]) -> list[np.ndarray]:
     return [nudge(value) for value in sample]
 
 
-def judged(
+def judge_results(
     results: np.ndarray, expected: np.ndarray, changed: np.ndarray, first: np.ndarray
 ) -> Judgement:
     """Whether results agree with the expected ones, and whether half of them are conclusive.

@@ -28,7 +28,13 @@ from jaxclear.ground.quantity import is_traced, is_tracing
 from jaxclear.ground.recent_results import Latest
 from jaxclear.native import check, dispatch, verdicts
 from jaxclear.native.derivative_rules import columns_p
-from jaxclear.native.forms import Untold, function_in_text, in_text, surroundings, tree_in_text
+from jaxclear.native.forms import (
+    Untold,
+    environment_of_program,
+    function_in_text,
+    in_text,
+    tree_in_text,
+)
 from jaxclear.native.rows import operations_of
 from jaxclear.native.verdicts import NoKernel, only_kernels
 
@@ -180,7 +186,7 @@ def _is_cache_usable() -> bool:
     that JAX alone does."""
     settings: Any = jax.config
     is_debugging = settings.jax_debug_nans or settings.jax_debug_infs or settings.jax_disable_jit
-    if is_debugging or cache_folder.place() is None or check.is_check_enabled():
+    if is_debugging or cache_folder.folder_path() is None or check.is_check_enabled():
         return False
     return jax.default_backend() == "cpu" and jax.local_device_count() == 1
 
@@ -197,7 +203,7 @@ def _key(function: Callable, options: dict[str, Any], leaves: list, tree: Any) -
     """Under which a program is kept on disk; None where no other process could use it."""
     try:
         description = function_in_text(function), str(options), tree_in_text(tree)
-        around = surroundings()
+        around = environment_of_program()
         kinds = [
             f"{leaf.shape}{leaf.dtype}{jax.typeof(leaf).weak_type}"
             if eqx.is_array(leaf)

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from jaxclear.native.arithmetic import compare
-from jaxclear.native.long_arrays import carried_in_memory, mapped, put_back, rows_joined
-from jaxclear.native.program import CALLS, called, numbers_in, scan_counts, size_of
+from jaxclear.native.long_arrays import carried_in_memory, join_rows, map_rows, put_back
+from jaxclear.native.program import CALLS, called_program, numbers_in, scan_counts, size_of
 from jaxclear.native.writer import (
     FLOAT,
     INT,
@@ -34,7 +34,7 @@ from jaxclear.native.writer import (
 MOST_TURNS = 10_000
 
 
-def phi(writer: Writer, name: str, kind: str, values: tuple, blocks: tuple[str, str]) -> str:
+def phi_line(writer: Writer, name: str, kind: str, values: tuple, blocks: tuple[str, str]) -> str:
     """Line of code for a register that depends on the block from which control comes.
 
     Args:
@@ -62,7 +62,7 @@ def phi_of_turns(turn: str, following: str, blocks: tuple[str, str]) -> str:
     return f"  {turn} = phi i64 [ 0, %{blocks[0]} ], [ {following}, %{blocks[1]} ]"
 
 
-def loop(
+def write_loop(
     writer: Writer,
     condition: Callable,
     body: Callable,
@@ -81,10 +81,10 @@ def loop(
         body: function of the state that writes a turn and returns the new state.
         carry: first state, arrays of registers or in memory.
         kinds: of each array: `FLOAT`, `INT` or `TRUTH`.
-            outermost: whether it, and a time loop within it, reads the flag that stops all kernels;
+        outermost: whether it, and a time loop within it, reads the flag that stops all kernels;
             then
             what is unfinished becomes nan.
-            together: whether all samples take the same turns, which the first number of the state
+        together: whether all samples take the same turns, which the first number of the state
             counts.
     """
     # A turn may change them, so that as they were before the loop they can be read no more.
@@ -121,7 +121,7 @@ def loop(
     writer.leave(region)
     ends, following = (before, writer.block), writer.put(f"add i64 {turn}, 1")
     values = zip(registers, entries, flat, strict=True)
-    phis = [phi(writer, name, k, (old, new), ends) for name, (new, _), (old, k) in values]
+    phis = [phi_line(writer, name, k, (old, new), ends) for name, (new, _), (old, k) in values]
     writer.lines[places:places] = [*phis, phi_of_turns(turn, following, ends)]
     writer.say(f"br label %{head}")
     writer.start(behind)
@@ -213,7 +213,7 @@ def _results_of_stopped_loop(writer, stopped, registers, flat):
 
 @rule(*CALLS, reads_memory=True)
 def _write_call(writer, equation, *arguments):
-    return write_closed(writer, called(equation.params), arguments)
+    return write_closed(writer, called_program(equation.params), arguments)
 
 
 def is_an_error(parameters: dict) -> bool:
@@ -274,7 +274,7 @@ def _write_scan(writer, equation, *arguments):
     if not carried and p["length"] >= SHORTEST_MAP:
         avals = [atom.aval for atom in equation.outvars]
         body = lambda picked: write_closed(writer, p["jaxpr"], [*fixed, *picked])
-        return mapped(writer, rows, kinds[constants:], avals, body)
+        return map_rows(writer, rows, kinds[constants:], avals, body)
     refuse_memory(*carry, *rows)
     rows = list(map(in_registers, rows))
     long = p["length"] > LONGEST_WRITTEN_OUT
@@ -299,7 +299,7 @@ def _write_scan(writer, equation, *arguments):
         collected.reverse()
     kinds = [kind_of(atom.aval.dtype) for atom in equation.outvars[carried:]]
     return carry + [
-        rows_joined(writer, parts, kind)
+        join_rows(writer, parts, kind)
         for parts, kind in zip(zip(*collected, strict=True), kinds, strict=True)
     ]
 
@@ -333,7 +333,7 @@ def _write_counted_loop(writer, body, fixed, carry, rows, length, kinds):
         if isinstance(names, Long):
             continue
         for name, old, new in zip(names.flat, olds.flat, in_registers(news).flat, strict=True):
-            phis.append(phi(writer, name, kind, (old, new), ends))
+            phis.append(phi_line(writer, name, kind, (old, new), ends))
     following = writer.put(f"add i64 {turn}, 1")
     phis.append(phi_of_turns(turn, following, ends))
     writer.lines[places:places] = phis
@@ -400,7 +400,7 @@ def _inner_loop(writer, equation, programs, counts, arguments, outermost=False):
     """A loop by its programs (condition, body), of whose arguments so many are constants."""
     (condition, body), (first, second) = programs, counts
     fixed_condition, fixed_body = arguments[:first], arguments[first : first + second]
-    return loop(
+    return write_loop(
         writer,
         lambda state: write_closed(writer, condition, [*fixed_condition, *state])[0].item(),
         lambda state: write_closed(writer, body, [*fixed_body, *state]),

@@ -16,7 +16,7 @@ from jax.interpreters import partial_eval as pe
 
 from jaxclear.native.loop import loop_p
 from jaxclear.native.program import Narrow, Program, avals_of
-from jaxclear.native.tangent import widened
+from jaxclear.native.tangent import widen
 
 
 class Needs(NamedTuple):
@@ -106,7 +106,7 @@ def _needs_of_motion(needs: Needs, motion: Program) -> Needs:
     )
 
 
-def reduced(program: Program, needs: Needs) -> Program:
+def reduce_program(program: Program, needs: Needs) -> Program:
     """The loop with nothing but these. One within another is not asked for its motion alone."""
     places = _new_positions([*needs.of_body, *needs.state])
     everywhere, of_state = _new_positions(needs.inputs), _new_positions(needs.state)
@@ -122,7 +122,7 @@ def reduced(program: Program, needs: Needs) -> Program:
         condition_constants=sum(needs.of_condition),
         body_constants=sum(needs.of_body),
         tangents=_renumber(program.tangents, places),
-        motion=None if motion is None else reduced(motion, _needs_of_motion(needs, motion)),
+        motion=None if motion is None else reduce_program(motion, _needs_of_motion(needs, motion)),
         tables=tuple(tables),
         shared=_renumber(program.shared, everywhere),
         long=_renumber(program.long, of_state),
@@ -156,10 +156,10 @@ def _drop_unused_outputs(used: list[bool], equation: Any) -> tuple[list[bool], A
     if lone or (all(inputs) and all(results)):
         return [True] * len(inputs), equation
     if narrow is None:
-        program = reduced(program, needs)
+        program = reduce_program(program, needs)
     else:
         shared = _renumber(program.shared, _new_positions(inputs))
-        program = widened(_reduced_narrow(narrow, needs), narrow.tangents)._replace(shared=shared)
+        program = widen(_reduced_narrow(narrow, needs), narrow.tangents)._replace(shared=shared)
     select_needed = lambda values, needs: [v for v, w in zip(values, needs, strict=True) if w]
     return inputs, equation.replace(
         invars=select_needed(equation.invars, inputs),
@@ -169,7 +169,7 @@ def _drop_unused_outputs(used: list[bool], equation: Any) -> tuple[list[bool], A
 
 
 def _reduced_narrow(narrow: Narrow, needs: Needs) -> Narrow:
-    program = reduced(narrow.program, needs)
+    program = reduce_program(narrow.program, needs)
     batched = tuple(b for b, need in zip(narrow.batched, needs.inputs, strict=True) if need)
     moving = tuple(m for m, need in zip(narrow.moving, needs.results, strict=True) if need)
     return narrow._replace(program=program, batched=batched, moving=moving)

@@ -19,7 +19,7 @@ from jax.interpreters import ad, batching, mlir
 from jax.interpreters import partial_eval as pe
 
 from jaxclear.native.dead_code import drop_by, without_results, without_the_unasked
-from jaxclear.native.program import constants_first, heard, of_moving, samples_in, still
+from jaxclear.native.program import constants_first, fix_arguments, heard, samples_in, still
 
 applied_p = Primitive("jaxclear_applied_columns")
 applied_p.multiple_results = True
@@ -166,7 +166,7 @@ def _float_results(program: ClosedJaxpr) -> list[int]:
 
 def _push(program: ClosedJaxpr, moving: Sequence[int], values: Any, tangents: Any) -> tuple:
     """(results, tangents of those that have one) of one sample."""
-    function = of_moving(jaxpr_as_fun(program), values, moving)
+    function = fix_arguments(jaxpr_as_fun(program), values, moving)
     out, moved = jax.jvp(function, [values[i] for i in moving], list(tangents))
     return list(out), [moved[i] for i in _float_results(program)]
 
@@ -246,7 +246,7 @@ def _differentiate(values, tangents, *, program, moving, maps):
 
 def _push_second_order(values, moved, tangents, params):
     """The tangents' own tangents."""
-    function = of_moving(functools.partial(_reference, **params), values, moved)
+    function = fix_arguments(functools.partial(_reference, **params), values, moved)
     out, slopes = jax.jvp(function, [values[i] for i in moved], tangents)
     pairs = zip(out, slopes, strict=True)
     return out, [s if jnp.issubdtype(o.dtype, jnp.floating) else still(o) for o, s in pairs]

@@ -40,14 +40,14 @@ DROPPED = b"jaxclear: the kernel of this program has been dropped; compile the p
 INTERNAL = 13
 
 
-def template(name: str) -> str:
+def read_template(name: str) -> str:
     """LLVM code with places to be filled in, from the file of this name."""
     return (Path(__file__).parent / "llvm" / f"{name}.ll").read_text(encoding="utf-8")
 
 
 # An internal error of XLA's, with its message.
-ERROR = template("error").format(internal=INTERNAL)
-FUNCTION = template("function")
+ERROR = read_template("error").format(internal=INTERNAL)
+FUNCTION = read_template("function")
 
 
 @functools.cache
@@ -99,7 +99,7 @@ def _place(number: int) -> int:
     return free
 
 
-def enter(number: int, address: int) -> None:
+def enter_kernel(number: int, address: int) -> None:
     """From now on this number (positive, 63 bits) stands for the kernel at an address."""
     # The number last, and nobody's before: a call in another thread may be looking here.
     _atomic_function("enter", None, ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64)(
@@ -118,7 +118,7 @@ def remove(number: int, address: int) -> int:
     return place
 
 
-def in_use(place: int) -> bool:
+def is_in_use(place: int) -> bool:
     """Whether a kernel is being called at a place of the table."""
     return CALLS[place] > 0
 
@@ -139,9 +139,9 @@ def size() -> int:
 
 # Offsets are in bytes.
 # What XLA's frame holds: the places of arrays and results, and the sizes of the first array.
-ARRAYS = template("arrays")
-HANDLER = template("frame")
-SAMPLES = template("samples")
+ARRAYS = read_template("arrays")
+HANDLER = read_template("frame")
+SAMPLES = read_template("samples")
 
 
 # The structures whose offsets are used above, as the header must declare them.
@@ -180,7 +180,7 @@ def interface_version() -> tuple[int, int]:
     """Version of XLA's foreign function interface; `Unsupported` where its structures are not those
     read above.
     """
-    plain = interface()
+    plain = read_interface()
     if not all(part in plain for part in STRUCTURES):
         raise Unsupported("XLA's foreign function interface of this jaxlib")
     parts = [re.search(rf"#define XLA_FFI_API_{part} (\d+)", plain) for part in ("MAJOR", "MINOR")]
@@ -188,7 +188,7 @@ def interface_version() -> tuple[int, int]:
     return major, minor
 
 
-def interface() -> str:
+def read_interface() -> str:
     """The header of that interface that comes with jaxlib, without comments and line ends, by the
     names used above."""
     header = (Path(jax.ffi.include_dir()) / "xla/ffi/api/c_api.h").read_text()
@@ -198,7 +198,7 @@ def interface() -> str:
     return plain
 
 
-def frame(
+def frame_code(
     name: str,
     lanes: int,
     width: int,
@@ -212,7 +212,7 @@ def frame(
         name: of the kernel.
         lanes: samples that the kernel takes at once.
         width, height: floats of a packed row in and out.
-            in_memory: numbers of each sample in each array that is read by index; 0: shared by all
+        in_memory: numbers of each sample in each array that is read by index; 0: shared by all
             samples.
         tables: numbers of each sample in each array that is written, which follow those in memory.
     """
@@ -254,7 +254,7 @@ def frame(
     return samples + handler
 
 
-def widest() -> int:
+def widest_lanes() -> int:
     """Samples that one vector register of this processor holds, twice over where registers are
     short.
     """

@@ -141,7 +141,7 @@ def _array_text(values: np.ndarray) -> str:
     return f"array{values.shape}{values.dtype}{digest}"
 
 
-def surroundings() -> str:
+def environment_of_program() -> str:
     """All beside its arguments that a program hangs on: versions, the processor, settings. Raises
     `Untold` where this package is not what its files say."""
     if not source_check.is_unmodified():

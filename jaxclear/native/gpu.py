@@ -112,7 +112,7 @@ def _load_kernel(text: str, program: Program, ptx: str | None = None) -> GpuKern
         places = driver.address("cuStreamGetCtx"), driver.address("cuLaunchKernel")
         counts = 1 + len(arrays.read), 1 + len(arrays.written)
         engine = object_code.compiled(gpu_call.handler_text(name, loaded, *counts, places))
-        dispatch.enter(number, engine.get_function_address(name))
+        dispatch.enter_kernel(number, engine.get_function_address(name))
         _KERNELS[number] = GpuKernel(number, engine, loaded)
     return _KERNELS[number]
 
@@ -137,5 +137,5 @@ def _name_of_kernel(number: int) -> str:
 def _key_of_ptx(text: str, program: Program) -> str:
     """Under which PTX is kept that has passed its comparison, on this device by this driver."""
     driver, devices = gpu_driver.driver(), [each.device_kind for each in jax.local_devices()]
-    about = f"{driver.version} {driver.capability} {devices} {gpu_ptx.libdevice()}"
+    about = f"{driver.version} {driver.capability} {devices} {gpu_ptx.find_libdevice()}"
     return cache_folder.key_of(text, str(_number(text, program)), about, object_code.processor())

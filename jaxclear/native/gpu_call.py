@@ -28,14 +28,14 @@ STRUCTURES = (
 FAILED = "jaxclear: the driver of the GPU has not launched a kernel."
 ELSEWHERE = "jaxclear: a kernel was called on a GPU that was not there when it was compiled."
 
-HANDLER = dispatch.template("gpu_frame")
+HANDLER = dispatch.read_template("gpu_frame")
 
 
 @functools.cache
 def register_with_xla() -> None:
     """Makes the function that finds kernels known to XLA on CUDA. Raises `Unsupported` for another
     interface of XLA."""
-    if not all(part in dispatch.interface() for part in STRUCTURES):
+    if not all(part in dispatch.read_interface() for part in STRUCTURES):
         raise Unsupported("XLA's foreign function interface of this jaxlib, on a GPU")
     dispatch.register("CUDA", dispatch.register_with_xla())
 
@@ -49,7 +49,7 @@ def handler_text(
         name: of the kernel.
         loaded: the kernel on each device.
         read, written: numbers of arrays in and out.
-            places: addresses of two driver functions in this process: which context a stream has,
+        places: addresses of two driver functions in this process: which context a stream has,
             and the
             launch.
     """

@@ -33,7 +33,7 @@ def processor_of(capability: tuple[int, int]) -> str:
 
 
 @functools.cache
-def libdevice() -> Path | None:
+def find_libdevice() -> Path | None:
     """The newest file of NVIDIA's functions; None where there is none."""
     spec = importlib.util.find_spec("nvidia")
     packages = [Path(each) for each in (spec.submodule_search_locations or [])] if spec else []
@@ -50,7 +50,7 @@ def ptx_of(text: str, processor: str) -> str:
     import llvmlite.binding as llvm
 
     names = [name for name, _ in LIBRARY.findall(text)]
-    library = libdevice() if names else None
+    library = find_libdevice() if names else None
     if names and library is None:
         raise Unsupported(
             f"{', '.join(sorted(names))} on a GPU without NVIDIA's libdevice, which is in the "

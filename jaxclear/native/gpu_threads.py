@@ -16,7 +16,14 @@ import re
 from typing import NamedTuple
 
 from jaxclear.native import kernel as kernels
-from jaxclear.native.program import Program, avals_of, changing, floats_in, in_memory, packed_state
+from jaxclear.native.program import (
+    Program,
+    arrays_in_memory,
+    avals_of,
+    floats_in,
+    in_memory,
+    packed_state,
+)
 from jaxclear.native.writer import STOP_FLAG, Unsupported
 
 # Threads that a block has: few, as each wants all the registers that it can have.
@@ -109,7 +116,7 @@ def arrays_of(program: Program) -> Arrays:
         floats_in([a for _, (a, long) in array_shapes if not long]),
         floats_in(packed_state(program)),
         read,
-        [*(floats_in([a]) for a in changing(program)), *kernels.sizes_of_tables(program)],
+        [*(floats_in([a]) for a in arrays_in_memory(program)), *kernels.sizes_of_tables(program)],
     )
 
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from jaxclear.native.arithmetic import combine, compare
-from jaxclear.native.long_arrays import joined, unstacked, view
+from jaxclear.native.long_arrays import join_arrays, unstack_rows, view
 from jaxclear.native.writer import (
     FLOAT,
     INT,
@@ -97,7 +97,7 @@ def _slice(writer, equation, a):
 def _concatenate(writer, equation, *arrays):
     if any(isinstance(a, InMemory) for a in arrays):
         kind = kind_of(equation.outvars[0].aval.dtype)
-        return joined(writer, arrays, kind, equation.params["dimension"])
+        return join_arrays(writer, arrays, kind, equation.params["dimension"])
     return np.concatenate(arrays, equation.params["dimension"])
 
 
@@ -131,7 +131,7 @@ def _unstack(writer, equation, a):
         places = np.moveaxis(
             np.arange(math.prod(a.shape)).reshape(a.shape), equation.params["axis"], 0
         )
-        return unstacked(writer, equation, a, FLOAT, places)
+        return unstack_rows(writer, equation, a, FLOAT, places)
     rows = np.split(a, len(equation.outvars), equation.params["axis"])
     return [row.reshape(atom.aval.shape) for row, atom in zip(rows, equation.outvars, strict=True)]
 

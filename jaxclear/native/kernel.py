@@ -23,12 +23,12 @@ from jaxclear.native import check, dispatch, elementary, object_code, stopping
 from jaxclear.native import indexing as _indexing  # noqa: F401  (its rules register themselves)
 from jaxclear.native import linear_systems as _linear_systems  # noqa: F401
 from jaxclear.native import long_rules as _long_rules  # noqa: F401
-from jaxclear.native.control import loop
+from jaxclear.native.control import write_loop
 from jaxclear.native.long_arrays import for_each
 from jaxclear.native.program import (
     Program,
+    arrays_in_memory,
     avals_of,
-    changing,
     floats_in,
     in_memory,
     packed_state,
@@ -59,7 +59,7 @@ def text_of(program: Program, lanes: int, checked: bool = False) -> str:
     values = _load_arguments(writer, program)
     c, b = program.condition_constants, program.body_constants
     fixed_condition, fixed_body, first = values[:c], values[c : c + b], values[c + b :]
-    first = handed_over(writer, program, first)
+    first = copy_long_state(writer, program, first)
     kinds = [kind_of(a.dtype) for a in avals_of(program)[1]]
     tables = Tables(writer, program, fixed_body)
 
@@ -69,7 +69,7 @@ def text_of(program: Program, lanes: int, checked: bool = False) -> str:
         return results[: len(state)]
 
     tables.begin()
-    last = loop(
+    last = write_loop(
         writer,
         lambda s: write_closed(writer, program.condition, [*fixed_condition, *s])[0].item(),
         turn,
@@ -151,7 +151,7 @@ class Kernel:
 
     def publish(self) -> None:
         """Programs may call it from now on."""
-        dispatch.enter(self.number, self._entry)
+        dispatch.enter_kernel(self.number, self._entry)
 
 
 # Machine code of kernels that were dropped while a call was under way, with their places in the
@@ -170,7 +170,7 @@ def free_the_unused() -> None:
     for _ in range(len(_LINGERING)):
         with contextlib.suppress(IndexError):
             place, engine = _LINGERING.popleft()
-            if dispatch.in_use(place):
+            if dispatch.is_in_use(place):
                 _LINGERING.append((place, engine))
 
 
@@ -191,10 +191,10 @@ def _assembled(program: Program, lanes: int, checked: bool = False) -> tuple[str
     long = [aval for aval, is_long in array_shapes if is_long]
     shared = [i in program.shared for i, is_long in enumerate(in_memory(program)) if is_long]
     form = f"{lanes}{[a.shape for a in long]}{shared}{program.tables}{program.length}{program.long}"
-    changed = [floats_in([aval]) for aval in changing(program)]
+    changed = [floats_in([aval]) for aval in arrays_in_memory(program)]
     mark = hashlib.sha256(f"{text}{form}".encode()).hexdigest()
     name = f"jaxclear_{mark[:24]}"
-    frame = dispatch.frame(
+    frame = dispatch.frame_code(
         name,
         lanes,
         width=floats_in([aval for aval, is_long in array_shapes if not is_long]),
@@ -264,7 +264,7 @@ def _check_turn(program: Program, lanes: int) -> None:
     check.check(program, turn_of(program, lanes), functools.partial(check.turn_by_jax, program))
 
 
-def keep(kernel: Kernel, module: Any) -> None:
+def keep_kernel(kernel: Kernel, module: Any) -> None:
     """The program that is being compiled, whose context this is, keeps a kernel."""
     module.add_keepalive(kernel)
     if not any(module.keepalives is each for each in _LATEST):
@@ -406,7 +406,7 @@ class Tables:
         writer.start(done)
 
 
-def handed_over(writer: Writer, program: Program, state: Sequence[Any]) -> list[Any]:
+def copy_long_state(writer: Writer, program: Program, state: Sequence[Any]) -> list[Any]:
     """The first state, with long arrays copied to where the kernel returns them; its inputs stay.
 
     Args:
@@ -426,7 +426,7 @@ def _store(writer: Writer, position: int, array: Any, kind: str) -> int:
     """Puts an array into the packed row, from a position on; how many numbers these are."""
     if not isinstance(array, Long):
         for k, value in enumerate(array.flat, position):
-            store(writer, k, value, kind)
+            store_number(writer, k, value, kind)
         return array.size
 
     def put(k):
@@ -439,7 +439,7 @@ def _store(writer: Writer, position: int, array: Any, kind: str) -> int:
     return array.size
 
 
-def store(writer: Writer, position: int, value: Any, kind: str) -> None:
+def store_number(writer: Writer, position: int, value: Any, kind: str) -> None:
     """Writes a number into the packed row of results.
 
     Args:

@@ -177,7 +177,7 @@ def _index_of_places(writer: Writer, places: np.ndarray) -> Callable[[Any], Any]
     return looked_up
 
 
-def changed(
+def update_long(
     writer: Writer, array: Any, kind: str, places: np.ndarray, update: Any, combine: Callable
 ) -> Long:
     """A copy of an array, with entries at known places combined with an update, one after another.
@@ -203,7 +203,7 @@ def changed(
     return out.array()
 
 
-def unstacked(writer: Writer, equation: Any, array: Any, kind: str, places: np.ndarray) -> list:
+def unstack_rows(writer: Writer, equation: Any, array: Any, kind: str, places: np.ndarray) -> list:
     """The rows of an array that the program reads; empty arrays for the others.
 
     Args:
@@ -219,7 +219,7 @@ def unstacked(writer: Writer, equation: Any, array: Any, kind: str, places: np.n
     ]
 
 
-def joined(writer: Writer, arrays: Sequence[Any], kind: str, axis: int) -> Any:
+def join_arrays(writer: Writer, arrays: Sequence[Any], kind: str, axis: int) -> Any:
     """Arrays joined along an axis, at least one of them long.
 
     Args:
@@ -253,7 +253,7 @@ def joined(writer: Writer, arrays: Sequence[Any], kind: str, axis: int) -> Any:
     return view(writer, buffer.array(), kind, order)
 
 
-def rows_joined(writer: Writer, rows: Sequence[Any], kind: str) -> Any:
+def join_rows(writer: Writer, rows: Sequence[Any], kind: str) -> Any:
     """Arrays of one shape as the rows of one array, which is long where one of them is.
 
     Args:
@@ -263,7 +263,7 @@ def rows_joined(writer: Writer, rows: Sequence[Any], kind: str) -> Any:
     """
     if not any(isinstance(row, Long) for row in rows):
         return np.stack(rows)
-    return joined(writer, [_as_row(row) for row in rows], kind, 0)
+    return join_arrays(writer, [_as_row(row) for row in rows], kind, 0)
 
 
 def _as_row(array: Any) -> Any:
@@ -308,7 +308,7 @@ def entrywise(writer: Writer, rule: Callable, equation: Any, arrays: Sequence[An
     return buffer.array()
 
 
-def mapped(
+def map_rows(
     writer: Writer, rows: Sequence[Any], kinds: Sequence[str], avals: Sequence[Any], body: Callable
 ) -> list[Long]:
     """Results of a function of each row of arrays, as a loop over rows.

@@ -12,12 +12,12 @@ from jaxclear.native.arithmetic import combine
 from jaxclear.native.indexing import gathered_places, places_of, spans_of
 from jaxclear.native.long_arrays import (
     Buffer,
-    changed,
     entrywise,
     for_each,
-    joined,
+    join_arrays,
     stored,
-    unstacked,
+    unstack_rows,
+    update_long,
     view,
 )
 from jaxclear.native.program import CALLS
@@ -105,13 +105,13 @@ def _slice_long(writer, equation, a):
 @long_rule("unstack")
 def _unstack_long(writer, equation, a):
     places = np.moveaxis(_flat_places(a), equation.params["axis"], 0)
-    return unstacked(writer, equation, a, a.kind, places)
+    return unstack_rows(writer, equation, a, a.kind, places)
 
 
 @long_rule("concatenate")
 def _concatenate_long(writer, equation, *arrays):
     kind = kind_of(equation.outvars[0].aval.dtype)
-    return joined(writer, arrays, kind, equation.params["dimension"])
+    return join_arrays(writer, arrays, kind, equation.params["dimension"])
 
 
 @long_rule("gather")
@@ -136,7 +136,7 @@ def _scatter_long(writer, equation, a, indices, update):
         return RULES[name](writer, equation, *map(in_registers, (a, indices, update)))
     places = np.array([np.ravel_multi_index(place, a.shape) for place in to.values()], int)
     join = lambda old, new: combine(writer, "sum", kind, old, new) if "add" in name else new
-    return changed(writer, a, kind, places, update, join)
+    return update_long(writer, a, kind, places, update, join)
 
 
 @long_rule("reduce_sum", "reduce_max", "reduce_min", "reduce_and", "reduce_or")

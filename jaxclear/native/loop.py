@@ -27,17 +27,17 @@ from jax.interpreters import partial_eval as pe
 from jaxclear.ground.warning import warn
 from jaxclear.native import dispatch
 from jaxclear.native import kernel as kernels
-from jaxclear.native.dispatch import widest
+from jaxclear.native.dispatch import widest_lanes
 from jaxclear.native.program import (
     Program,
     Table,
+    arrays_in_memory,
     avals_of,
-    changing,
+    fix_arguments,
     floats_in,
     heard,
     in_memory,
     loops_marked,
-    of_moving,
     packed_state,
     row_of,
     samples_in,
@@ -45,14 +45,14 @@ from jaxclear.native.program import (
 )
 from jaxclear.native.program_pieces import in_pieces
 from jaxclear.native.tangent import (
-    bundled,
+    bundle_tangents,
     by_portions,
     motion_in,
     moving_state,
     side_by_side,
     tangent_program,
 )
-from jaxclear.native.verdicts import NOT_A_CPU, SWITCHED_OFF, note_fallback, tell
+from jaxclear.native.verdicts import NOT_A_CPU, SWITCHED_OFF, note_fallback, note_verdict
 from jaxclear.native.writer import Unsupported
 
 LOG = logging.getLogger(__name__)
@@ -157,7 +157,7 @@ def _shapes(*avals, program, rank):
 
 
 def _batch(values, dims, *, program, rank):
-    bundle = bundled(program, values, dims, rank)
+    bundle = bundle_tangents(program, values, dims, rank)
     if bundle is not None:
         wide, arranged, axes = bundle
         return loop_p.bind(*arranged, program=wide, rank=rank), axes
@@ -209,7 +209,7 @@ def _call_kernel(*values, program, rank, number, columnar=False):
     ]
     batched = [i not in program.shared for i, k in enumerate(stays_in_memory) if k]
     big = [v for v, k in zip(values, stays_in_memory, strict=True) if k]
-    short, long = packed_state(program), changing(program)
+    short, long = packed_state(program), arrays_in_memory(program)
     row = row_of(program)
     shapes = [(floats_in(short),), *(aval.shape for aval in long)]
     shapes += [(t.height, *aval.shape) for t, aval in zip(program.tables, row, strict=True)]
@@ -267,7 +267,7 @@ def _run_by_portions(*values, program, rank, samples):
 
 def _lower_elsewhere(ctx, *values, program, rank, reason=NOT_A_CPU, written=reference_in_pieces):
     if not program.length and not program.vmapped:
-        tell(ctx, reason)
+        note_verdict(ctx, reason)
     if program.vmapped:
         written = reference_of_batch
     lower = mlir.lower_fun(written, multiple_results=True)
@@ -301,8 +301,8 @@ def has_kernels() -> bool:
 
 def _lower_on_cpu(ctx, *values, program, rank):
     def kernel(samples):
-        kernel = kernels.build(program, widest() if samples > 1 else 1)
-        kernels.keep(kernel, ctx.module_context)
+        kernel = kernels.build(program, widest_lanes() if samples > 1 else 1)
+        kernels.keep_kernel(kernel, ctx.module_context)
         return kernel.number
 
     return _lower_as_kernel(ctx, values, program, rank, kernel, _call_kernel, reference_of_batch)
@@ -336,7 +336,7 @@ def _lower_as_kernel(ctx, values, program, rank, kernel, call, instead):
         lower = mlir.lower_fun(call, multiple_results=True)
         out = lower(ctx, *values, program=program, rank=rank, number=number)
         if not program.vmapped:
-            tell(ctx, None)
+            note_verdict(ctx, None)
         return out
     except (Unsupported, ImportError) as missing:
         reason = f"there is no machine code for {missing}"
@@ -413,7 +413,7 @@ def _differentiate_single_turn(values, tangents, program, rank):
     moving = [i for i, t in enumerate(tangents) if not isinstance(t, ad.Zero)]
     function = functools.partial(reference_of_batch, program=program, rank=rank)
     along = [values[i] for i in moving], [tangents[i] for i in moving]
-    return jax.jvp(of_moving(function, values, moving), *along)
+    return jax.jvp(fix_arguments(function, values, moving), *along)
 
 
 def _split_known(trace, *tracers, program, rank):

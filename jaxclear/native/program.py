@@ -33,7 +33,7 @@ CALLS = (
 )
 
 
-def called(parameters: dict) -> Any:
+def called_program(parameters: dict) -> Any:
     """The program that one of the `CALLS` calls."""
     return next(parameters[k] for k in ("jaxpr", "call_jaxpr", "fun_jaxpr") if k in parameters)
 
@@ -115,7 +115,7 @@ def in_memory(program: Program) -> list[bool]:
     return [*long, *(i in program.long for i in range(len(state)))]
 
 
-def changing(program: Program) -> list:
+def arrays_in_memory(program: Program) -> list:
     """Shapes and types of the parts of the state that stand in memory."""
     state = avals_of(program)[1]
     return [state[i] for i in sorted(program.long)]
@@ -213,7 +213,7 @@ def read(atoms: Sequence[Any], values: dict[Any, Any]) -> list:
     return [number(atom) if isinstance(atom, Literal) else values[atom] for atom in atoms]
 
 
-def applied(equation: Any, inputs: Sequence[Any], parameters: dict[str, Any]) -> Sequence[Any]:
+def apply(equation: Any, inputs: Sequence[Any], parameters: dict[str, Any]) -> Sequence[Any]:
     """Results of an equation's operation, as a list.
 
     Args:
@@ -225,10 +225,10 @@ def applied(equation: Any, inputs: Sequence[Any], parameters: dict[str, Any]) ->
     return results if equation.primitive.multiple_results else [results]
 
 
-def replayed(
+def replay(
     program: ClosedJaxpr,
     arguments: Sequence[Any],
-    one: Callable[[Any, list], Sequence[Any]] = lambda e, inputs: applied(e, inputs, e.params),
+    one: Callable[[Any, list], Sequence[Any]] = lambda e, inputs: apply(e, inputs, e.params),
 ) -> list:
     """Results of a program, evaluated equation by equation, with called functions inlined.
 
@@ -241,9 +241,9 @@ def replayed(
     for equation in program.jaxpr.eqns:
         inputs = read(equation.invars, values)
         if equation.primitive.name in CALLS:
-            inner = called(equation.params)
+            inner = called_program(equation.params)
             inner = inner if isinstance(inner, ClosedJaxpr) else ClosedJaxpr(inner, [])
-            inner_results: Sequence[Any] = replayed(inner, inputs, one)
+            inner_results: Sequence[Any] = replay(inner, inputs, one)
         else:
             inner_results = one(equation, inputs)
         values |= dict(zip(equation.outvars, inner_results, strict=True))
@@ -262,7 +262,7 @@ def constants_first(program: ClosedJaxpr) -> ClosedJaxpr:
     return ClosedJaxpr(jaxpr.replace(constvars=[], invars=invars), [])
 
 
-def of_moving(function: Callable, values: Sequence[Any], moving: Sequence[int]) -> Callable:
+def fix_arguments(function: Callable, values: Sequence[Any], moving: Sequence[int]) -> Callable:
     """The function with some of its arguments fixed.
 
     Args:

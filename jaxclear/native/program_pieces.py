@@ -13,7 +13,7 @@ from typing import Any
 import jax
 from jax.extend.core import ClosedJaxpr, Literal, jaxpr_as_fun
 
-from jaxclear.native.program import applied, evaluate_constants, read, replayed, traced
+from jaxclear.native.program import apply, evaluate_constants, read, replay, traced
 
 # A piece ends where one of its numbers takes so many operations, those done anew included. Of 64,
 # 128 and 512, 128 was the fastest on an H200 (4096 slider-cranks, two integrators).
@@ -38,7 +38,7 @@ def in_pieces(program: ClosedJaxpr) -> Callable[..., list]:
 
 @functools.lru_cache(maxsize=LATEST)
 def _rewrite_with_barriers(program: ClosedJaxpr) -> ClosedJaxpr:
-    written_out = traced(lambda *values: replayed(program, values), program.in_avals)
+    written_out = traced(lambda *values: replay(program, values), program.in_avals)
     return traced(functools.partial(_evaluate_with_barriers, written_out), program.in_avals)
 
 
@@ -57,7 +57,7 @@ def _evaluate_with_barriers(program: ClosedJaxpr, *arguments: Any) -> list:
         inputs, turn = read(equation.invars, values), TURNS.get(name)
         if turn is not None:
             parameters = parameters | {turn: _rewrite_with_barriers(parameters[turn])}
-        results = applied(equation, inputs, parameters)
+        results = apply(equation, inputs, parameters)
         values |= dict(zip(equation.outvars, results, strict=True))
         work = _op_count(equation, i, piece)
         piece |= dict.fromkeys(equation.outvars, work)

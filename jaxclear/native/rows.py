@@ -17,7 +17,7 @@ import numpy as np
 from jax.extend.core import ClosedJaxpr, Jaxpr, Primitive, jaxpr_as_fun
 from jax.interpreters import ad, batching, mlir
 
-from jaxclear.native.program import constants_first, of_moving, still, traced
+from jaxclear.native.program import constants_first, fix_arguments, still, traced
 from jaxclear.native.while_loops import as_kernel, scan
 
 # Operations up to which a function is short: a body's place has some 100, the reactions of a
@@ -138,7 +138,7 @@ def _with_tangents(program: ClosedJaxpr, moving: tuple[int, ...]) -> ClosedJaxpr
 
     def pushed(*numbers):
         values, tangents = numbers[:count], numbers[count:]
-        function = of_moving(jaxpr_as_fun(program), values, moving)
+        function = fix_arguments(jaxpr_as_fun(program), values, moving)
         out, moved = jax.jvp(function, [values[i] for i in moving], list(tangents))
         pairs = zip(moved, program.out_avals, strict=True)
         return [*out, *(m for m, aval in pairs if jnp.issubdtype(aval.dtype, jnp.floating))]

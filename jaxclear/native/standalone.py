@@ -15,7 +15,7 @@ import numpy as np
 
 from jaxclear.native import kernel, stopping
 from jaxclear.native.program import Program, avals_of, in_memory
-from jaxclear.native.while_loops import opened
+from jaxclear.native.while_loops import open_constants
 from jaxclear.native.writer import LONGEST_IN_REGISTERS, Unsupported
 
 
@@ -73,8 +73,8 @@ def standalone(
     def body(*values: Any) -> list:
         return [values[len(arguments)] + 1, *whole(*values[: len(arguments)])]
 
-    tests, _ = opened(jax.make_jaxpr(lambda turns, *_: turns < 1)(*zeros))
-    turns, captured = opened(jax.make_jaxpr(body)(*arguments, *zeros))
+    tests, _ = open_constants(jax.make_jaxpr(lambda turns, *_: turns < 1)(*zeros))
+    turns, captured = open_constants(jax.make_jaxpr(body)(*arguments, *zeros))
     program = Program(
         tests, turns, 0, len(captured) + len(arguments), single_turn=True, vmapped=True
     )

@@ -20,7 +20,7 @@ from jaxclear.native.program import (
     Program,
     avals_of,
     batches_loops,
-    called,
+    called_program,
     row_of,
     samples_in,
     scan_counts,
@@ -84,7 +84,7 @@ def _is_result_moved(equation: Any, inputs: list[bool]) -> list[bool]:
     if name == "stop_gradient":
         return [False]
     if name in CALLS:
-        return _moving_results(called(p), inputs)
+        return _moving_results(called_program(p), inputs)
     if name == "jaxclear_loop":
         inner = p["program"]
         c, b = inner.condition_constants, inner.condition_constants + inner.body_constants
@@ -170,7 +170,7 @@ def motion_in(program: Program) -> list[int]:
     return [*range(state), *range(behind, behind + row)]
 
 
-def bundled(
+def bundle_tangents(
     program: Program, values: Sequence[Any], dims: Sequence[int | None], rank: int
 ) -> tuple[Program, list[Any], list[int | None]] | None:
     """The loop that carries several tangents side by side, where these are all that differs.
@@ -207,7 +207,7 @@ def bundled(
     arranged_values = [arranged(*each) for each in zip(values, dims, batched, strict=True)]
     # A table has its rows in front of what stands in them.
     axes = [rank + (i >= state) if moves else None for i, moves in enumerate(moving)]
-    return widened(narrow, count), arranged_values, axes
+    return widen(narrow, count), arranged_values, axes
 
 
 def side_by_side(wide: Program, samples: int) -> int:
@@ -228,7 +228,7 @@ def by_portions(values: Sequence[Any], wide: Program, rank: int, size: int, run:
 
     Args:
         values: inputs of the wide loop.
-        wide: loop of all tangents (`bundled`).
+        wide: loop of all tangents (`bundle_tangents`).
         rank: number of batch axes that precede that of the tangents.
         size: tangents at once.
         run: function `run(values, program, rank)` that evaluates a loop.
@@ -249,7 +249,7 @@ def by_portions(values: Sequence[Any], wide: Program, rank: int, size: int, run:
 
     pairs = enumerate(zip(values, narrow.batched, strict=True))
     arranged_values = [arranged(i, *each) for i, each in pairs]
-    out = run(arranged_values, widened(narrow, size), rank + 1)
+    out = run(arranged_values, widen(narrow, size), rank + 1)
     state = len(avals_of(narrow.program)[1])
     results: list[Any] = []
     for place, (part, moves) in enumerate(zip(out, narrow.moving, strict=True)):
@@ -263,7 +263,7 @@ def by_portions(values: Sequence[Any], wide: Program, rank: int, size: int, run:
     return results
 
 
-def widened(narrow: Narrow, count: int) -> Program:
+def widen(narrow: Narrow, count: int) -> Program:
     """The loop whose inputs and results that differ have a leading axis of so many tangents."""
     program = narrow.program
     c, b = program.condition_constants, program.body_constants

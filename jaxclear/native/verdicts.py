@@ -82,7 +82,7 @@ def note_fallback(reason: str) -> None:
         raise NoKernel(reason)
 
 
-def tell(context: Any, reason: str | None) -> None:
+def note_verdict(context: Any, reason: str | None) -> None:
     """A loop of the module under way becomes a kernel (None), or is left to XLA for this reason."""
     context.module_context.cached_primitive_lowerings.setdefault(PLACE, []).append(reason)
 

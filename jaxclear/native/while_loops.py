@@ -10,7 +10,7 @@ import numpy as np
 from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
 
 from jaxclear.native.loop import loop_p
-from jaxclear.native.program import Program, Table, applied, constants_first, loops_marked, replayed
+from jaxclear.native.program import Program, Table, apply, constants_first, loops_marked, replay
 from jaxclear.native.writer import LONGEST_IN_REGISTERS
 
 
@@ -27,18 +27,18 @@ def while_loop(
     Args:
         condition, body: functions of the state; the body keeps its shapes and types.
         first: initial state, a pytree of arrays.
-            long: prefix of the state, true where arrays may be long; these stand in memory and are
+        long: prefix of the state, true where arrays may be long; these stand in memory and are
             read and
             changed by index; after a change the previous array can no longer be read.
         single_turn: whether it is a function, a loop of one turn.
-            vmapped: whether XLA gets it as if this module had not been used, where it becomes no
+        vmapped: whether XLA gets it as if this module had not been used, where it becomes no
             kernel.
     """
     in_memory = _leaves_in_memory(long, first)
     first = jax.tree.map(jnp.asarray, first)
     leaves, structure = jax.tree.flatten(first)
-    tests, fixed_tests = opened(jax.make_jaxpr(condition)(first))
-    turns, fixed_turns = opened(jax.make_jaxpr(body)(first))
+    tests, fixed_tests = open_constants(jax.make_jaxpr(condition)(first))
+    turns, fixed_turns = open_constants(jax.make_jaxpr(body)(first))
     if [(a.shape, a.dtype) for a in turns.out_avals] != [(v.shape, v.dtype) for v in leaves]:
         raise TypeError(
             f"the body of a loop must keep shapes and types: {leaves} became {turns.out_avals}."
@@ -120,8 +120,8 @@ def scan(
         return (index + 1, state), leaves
 
     leaves, structure = jax.tree.flatten(first)
-    tests, _ = opened(jax.make_jaxpr(lambda carry: carry[0] < length)(first))
-    turns, fixed = opened(jax.make_jaxpr(body)((places, starts), first))
+    tests, _ = open_constants(jax.make_jaxpr(lambda carry: carry[0] < length)(first))
+    turns, fixed = open_constants(jax.make_jaxpr(body)((places, starts), first))
     shape, parts = form[0]
     fixed_arrays = jax.tree.leaves((places, starts))
     heights = [each.height for each in layouts] or [length]
@@ -188,7 +188,7 @@ def with_fast_loops(function: Callable) -> Callable:
 
         flat_program = jax.make_jaxpr(flat)(*leaves)
         program = constants_first(flat_program)
-        fast = jax.custom_jvp(lambda *values: replayed(program, values, _loops_bound))
+        fast = jax.custom_jvp(lambda *values: replay(program, values, _loops_bound))
         fast.defjvp(lambda values, tangents: jax.jvp(jaxpr_as_fun(program), values, tangents))
         return jax.tree.unflatten(structures["structure"], fast(*flat_program.consts, *leaves))
 
@@ -198,13 +198,13 @@ def with_fast_loops(function: Callable) -> Callable:
 def _loops_bound(equation: Any, inputs: list) -> Sequence[Any]:
     p = equation.params
     if equation.primitive.name != "while":
-        return applied(equation, inputs, p)
+        return apply(equation, inputs, p)
     counts = p["cond_nconsts"], p["body_nconsts"]
     program = Program(p["cond_jaxpr"], p["body_jaxpr"], *counts)
     return loop_p.bind(*inputs, program=program, rank=0)
 
 
-def opened(program: ClosedJaxpr) -> tuple[ClosedJaxpr, list]:
+def open_constants(program: ClosedJaxpr) -> tuple[ClosedJaxpr, list]:
     """Constants that are not yet known as leading arguments, and these; known numbers stay
     inside."""
     pairs = list(zip(program.jaxpr.constvars, program.consts, strict=True))

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxclear.components.beam import wholes
+from jaxclear.components.beam import whole_bodies
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import expect
 from jaxclear.ground.wording import described, listed
@@ -77,7 +77,7 @@ def overview(run: Trajectory, *, ax: Any = None) -> Any:
     mask = reached(run, -np.inf)
     time = np.asarray(run.time)[mask]
     distances, spins = {}, {}
-    for name in wholes(run.mechanism.bodies):
+    for name in whole_bodies(run.mechanism.bodies):
         motion = run.body(name)
         com = np.asarray(motion.com)[mask]
         distances[name] = np.linalg.norm(com - com[0], axis=1)

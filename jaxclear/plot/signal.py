@@ -174,7 +174,7 @@ def at_periods(data: TimeCurve, period: float, since: float, until: float) -> tu
     Between saving times they are those of a cubic through values and rates.
 
     Args:
-        own: the quantity.
+        data: the quantity.
         period: period [s], > 0.
         since: first time [s].
         until: last time [s].

@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 
 import matplotlib
 import numpy as np
+from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
 from jaxclear.ground.argument_errors import answering
 from jaxclear.multibody.system import wearing_in
@@ -192,8 +193,12 @@ def wear_surface(
     factor, unit = readable(depth, "m")
     norm = _root_norm(factor * depth)
     colours = matplotlib.colormaps["YlOrRd"](norm(factor * depth))
-    grid = {"edgecolor": (0, 0, 0, 0.06), "linewidth": 0.2, "rstride": 1, "cstride": 1}
-    axis.plot_surface(across, upward, heights, facecolors=colours, shade=False, **grid)
+    # As `plot_surface` draws it, which goes through its faces one by one.
+    places = np.stack([across, upward, heights], axis=-1)
+    faces = np.stack([places[:-1, :-1], places[:-1, 1:], places[1:, 1:], places[1:, :-1]], axis=2)
+    grid = {"facecolor": colours.reshape(-1, 4), "edgecolor": (0, 0, 0, 0.06), "linewidth": 0.2}
+    axis.add_collection3d(Poly3DCollection(faces.reshape(-1, 4, 3), **grid))
+    axis.auto_scale_xyz(across, upward, heights)
     scale = matplotlib.cm.ScalarMappable(norm, "YlOrRd")
     sheet.figure_of.colorbar(scale, ax=axis, label=COLOUR.format(unit), shrink=0.7, pad=0.12)
     axis.set_xlabel("x [mm]")

@@ -17,7 +17,7 @@ def _find_beam(run: Any, name: str) -> Beam:
     return beams[name]
 
 
-def deflection(
+def beam_deflection(
     run: Any, name: str, relative_to: Literal["chord", "start"]
 ) -> Float[Array, "time place 3"]:
     """See `Trajectory.deflection`.
@@ -44,7 +44,7 @@ def deflection(
     return local - jnp.stack([jnp.asarray(ends), *jnp.zeros((2, len(ends)))], axis=-1)
 
 
-def stress(run: Any, name: str) -> Float[Array, "time element"]:
+def beam_stress(run: Any, name: str) -> Float[Array, "time element"]:
     """See `Trajectory.stress`."""
     beam = _find_beam(run, name)
     element = beam.length / beam.segments

@@ -47,7 +47,7 @@ REACTION = {
 }
 
 
-def of_run(history: StateHistory, worn: dict, attributes: dict, flat: bool) -> Any:
+def dataset_of_run(history: StateHistory, worn: dict, attributes: dict, flat: bool) -> Any:
     """A run as an xarray DataTree by body, joint and surface, or as one flat data set.
 
     Args:
@@ -100,7 +100,7 @@ def _nodes(history: StateHistory, worn: dict) -> dict[tuple[str, ...], dict[str,
     for name in history.formulation.contact_joints(mechanism):
         impulse = histories.contact_impulse(history, name)
         put((name,), "contact_impulse", ("time",), impulse, "N s", "impulse of the normal forces")
-    put_all(mechanism.connections, histories.reaction, REACTION)
+    put_all(mechanism.connections, histories.reaction_history, REACTION)
     for name, unit in _single_coordinates(history).items():
         what = "slides" if unit == "m" else "turns"
         place, speed = (history.coordinate(name, speeds=is_speed) for is_speed in (False, True))
@@ -121,7 +121,7 @@ def _nodes(history: StateHistory, worn: dict) -> dict[tuple[str, ...], dict[str,
             volume = histories.worn_volume(history, joint, surface)
             put(where, "worn_volume", ("time",), volume, "m^3", "volume lost")
     if history.balanced:
-        energies = histories.energies(history)
+        energies = histories.energy_history(history)
         for name in energies.__dataclass_fields__:
             values = getattr(energies, name)
             put(("energy",), name, ("time",), values, "J", name.replace("_", " "))

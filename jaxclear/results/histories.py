@@ -43,7 +43,7 @@ OF_JOINT = ("offset", "force", "torque")
 OF_CONTACT = ("indentation", "normal_force", "slip_speed", "traction")
 
 
-def measured(unit: str) -> Any:
+def measured_field(unit: str) -> Any:
     """A field of numbers over time, with their unit."""
     return eqx.field(metadata={"measured in": unit})
 
@@ -88,11 +88,11 @@ class BodyHistory(AbstractHistory):
         name: name of the body.
     """
 
-    com: Float[Array, "time 3"] = measured("m")
-    rotation: Float[Array, "time 3 3"] = measured("1")
-    velocity: Float[Array, "time 3"] = measured("m/s")
-    spin: Float[Array, "time 3"] = measured("rad/s")
-    origin: Float[Array, "time 3"] = measured("m")
+    com: Float[Array, "time 3"] = measured_field("m")
+    rotation: Float[Array, "time 3 3"] = measured_field("1")
+    velocity: Float[Array, "time 3"] = measured_field("m/s")
+    spin: Float[Array, "time 3"] = measured_field("rad/s")
+    origin: Float[Array, "time 3"] = measured_field("m")
     history: StateHistory = eqx.field(repr=False)  # type: ignore[misc]
     name: str = eqx.field(static=True)  # type: ignore[misc]
 
@@ -123,8 +123,8 @@ class MarkerHistory(AbstractHistory):
         body: the motion of its body.
     """
 
-    position: Float[Array, "time 3"] = measured("m")
-    rotation: Float[Array, "time 3 3"] = measured("1")
+    position: Float[Array, "time 3"] = measured_field("m")
+    rotation: Float[Array, "time 3 3"] = measured_field("1")
     body: Any = eqx.field(repr=False)  # type: ignore[misc]
 
     @property
@@ -192,16 +192,16 @@ class ContactHistory(AbstractHistory):
         names: names of the contacts, in the order of the columns.
     """
 
-    time: Float[Array, " time"] = measured("s")
-    offset: Float[Array, "time 3"] = measured("m")
-    axis: Float[Array, "time 3"] = measured("1")
-    indentation: Float[Array, "time contacts"] = measured("m")
-    normal_force: Float[Array, "time contacts"] = measured("N")
-    slip_speed: Float[Array, "time contacts"] = measured("m/s")
-    traction: Float[Array, "time contacts"] = measured("N")
-    place: Float[Array, "time contacts 3"] = measured("m")
-    force: Float[Array, "time 3"] = measured("N")
-    torque: Float[Array, "time 3"] = measured("N m")
+    time: Float[Array, " time"] = measured_field("s")
+    offset: Float[Array, "time 3"] = measured_field("m")
+    axis: Float[Array, "time 3"] = measured_field("1")
+    indentation: Float[Array, "time contacts"] = measured_field("m")
+    normal_force: Float[Array, "time contacts"] = measured_field("N")
+    slip_speed: Float[Array, "time contacts"] = measured_field("m/s")
+    traction: Float[Array, "time contacts"] = measured_field("N")
+    place: Float[Array, "time contacts 3"] = measured_field("m")
+    force: Float[Array, "time 3"] = measured_field("N")
+    torque: Float[Array, "time 3"] = measured_field("N m")
     names: tuple[str, ...] = eqx.field(static=True)  # type: ignore[misc]
 
     @on_numbers
@@ -237,8 +237,8 @@ class ReactionHistory(AbstractHistory):
             of least norm over the joints that close loops, torques divided by the longest arm.
     """
 
-    force: Float[Array, "time 3"] = measured("N")
-    torque: Float[Array, "time 3"] = measured("N m")
+    force: Float[Array, "time 3"] = measured_field("N")
+    torque: Float[Array, "time 3"] = measured_field("N m")
     unique: bool = eqx.field(static=True, default=True)
 
 
@@ -258,14 +258,14 @@ class EnergyHistory(AbstractHistory):
         error: what the balance misses [J], shape (time,).
     """
 
-    kinetic: Float[Array, " time"] = measured("J")
-    potential: Float[Array, " time"] = measured("J")
-    contact_stored: Float[Array, " time"] = measured("J")
-    contact_loss: Float[Array, " time"] = measured("J")
-    friction_loss: Float[Array, " time"] = measured("J")
-    damping_loss: Float[Array, " time"] = measured("J")
-    input: Float[Array, " time"] = measured("J")
-    error: Float[Array, " time"] = measured("J")
+    kinetic: Float[Array, " time"] = measured_field("J")
+    potential: Float[Array, " time"] = measured_field("J")
+    contact_stored: Float[Array, " time"] = measured_field("J")
+    contact_loss: Float[Array, " time"] = measured_field("J")
+    friction_loss: Float[Array, " time"] = measured_field("J")
+    damping_loss: Float[Array, " time"] = measured_field("J")
+    input: Float[Array, " time"] = measured_field("J")
+    error: Float[Array, " time"] = measured_field("J")
 
 
 def body(history: StateHistory, name: str) -> BodyHistory:
@@ -297,7 +297,7 @@ def _body_columns(history, name):
     return tuple(map(columns, over_time(history, one)))
 
 
-def solved(history: StateHistory, now: Instant) -> tuple[System, Forces, Solution]:
+def solve_instant(history: StateHistory, now: Instant) -> tuple[System, Forces, Solution]:
     """System, forces and the solution of the equations of motion at an instant."""
     forces = history.formulation.forces(now)
     system, stabilisation = now.model.system, now.model.stabilisation
@@ -309,7 +309,7 @@ def _accelerations_by_body(history):
     """By body that of its centre of mass, and the angular one."""
 
     def one(now):
-        system, _, solution = solved(history, now)
+        system, _, solution = solve_instant(history, now)
         results = {}
         every = kinematics.link_accelerations(system, now.motions, solution.accelerations)
         for name, body in history.mechanism.bodies.items():
@@ -362,7 +362,7 @@ def _contact_names(history, name, count):
     return labels if len(labels) == count else tuple(f"contact {i}" for i in range(count))
 
 
-def reaction(history: StateHistory, name: str) -> ReactionHistory:
+def reaction_history(history: StateHistory, name: str) -> ReactionHistory:
     """Force and torque in a connection, or of a coupling of bodies, or of a load in a joint."""
     couplings = history.mechanism.couplings
     meshing = [
@@ -404,7 +404,7 @@ def is_unique(history: StateHistory, name: str, what: str) -> bool:
 @eqx.filter_jit
 def _reaction_columns(history, name):
     def one(now):
-        system, forces, solution = solved(history, now)
+        system, forces, solution = solve_instant(history, now)
         forces = dynamics.with_closures(system, forces, solution)
         if name not in history.mechanism.connections:
             rows = [row for row in forces.rows if row.owner == name]
@@ -465,11 +465,11 @@ def _wrench_in_ground(now, closure, rows, joint):
 
 
 @eqx.filter_jit
-def driving(history: StateHistory, name: str) -> Float[Array, " time"]:
+def drive_history(history: StateHistory, name: str) -> Float[Array, " time"]:
     """What a drive gives over time [N m, N]."""
 
     def one(now):
-        system, forces, solution = solved(history, now)
+        system, forces, solution = solve_instant(history, now)
         forces = dynamics.with_closures(system, forces, solution)
         index = system.topology.branches.index(system.topology.branch_of(name))
         wrench = dynamics.joint_wrenches(system, forces, solution)[index]
@@ -484,7 +484,7 @@ def driving(history: StateHistory, name: str) -> Float[Array, " time"]:
 
 
 @eqx.filter_jit
-def drift(history: StateHistory) -> dict[str, Float[Array, " time"]]:
+def drift_history(history: StateHistory) -> dict[str, Float[Array, " time"]]:
     """Largest residual [m, 1] of each loop closure, by the joint that closes the loop."""
 
     def one(now):
@@ -498,7 +498,7 @@ def drift(history: StateHistory) -> dict[str, Float[Array, " time"]]:
     return over_time(history, one)
 
 
-def energies(history: StateHistory) -> EnergyHistory:
+def energy_history(history: StateHistory) -> EnergyHistory:
     """Energies over time; of a run with `balance=True`."""
     if not history.balanced:
         raise ValueError("this run did not track energies; simulate with balance=True.")

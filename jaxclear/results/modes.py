@@ -37,7 +37,7 @@ from jaxclear.results.state_history import StateHistory, over_time
 COLUMNS = ["time [s]", "joint", "contact", "event"]
 
 
-def events(history: StateHistory, noted: Events | None, names: tuple[str, ...]) -> Any:
+def event_table(history: StateHistory, noted: Events | None, names: tuple[str, ...]) -> Any:
     """Touches and releases as a table, in the order of time; warns where some were not stored.
 
     Args:
@@ -57,7 +57,7 @@ def events(history: StateHistory, noted: Events | None, names: tuple[str, ...]) 
         if name not in history.layout().plays:
             check_contact_joint(history, name)
     mechanism, rows, missing = history.mechanism, [], 0
-    for c in of_contacts(history, noted):
+    for c in events_by_contact(history, noted):
         if names and c.joint not in names:
             continue
         missing += c.missing
@@ -102,7 +102,7 @@ class ContactEvents(NamedTuple):
 FLANKS = ("upper", "lower")
 
 
-def of_contacts(history: StateHistory, noted: Events) -> Iterator[ContactEvents]:
+def events_by_contact(history: StateHistory, noted: Events) -> Iterator[ContactEvents]:
     """The events of every contact of a run, in the order of its joints."""
     times, rates, counts = (np.asarray(part) for part in noted)
     bearings = history.model().system.bearings.items()
@@ -157,7 +157,7 @@ def contact_path(history: StateHistory, name: str, noted: Events | None) -> tupl
         changes = _zeros_between(path, time[0], time[-1])
         first = changes[0].time if changes else time[-1]
         return path, _spells_between(time, changes, bool(path(0.5 * (time[0] + first)) > 0))
-    contacts = [each for each in of_contacts(history, noted) if each.joint == name]
+    contacts = [each for each in events_by_contact(history, noted) if each.joint == name]
     warn_of_missing(sum(each.missing for each in contacts), noted)
     paths = [_with_events(time, depths[:, k], rates[:, k], each) for k, each in enumerate(contacts)]
     knots = np.unique(np.concatenate([path.x for path in paths]))

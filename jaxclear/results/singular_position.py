@@ -59,7 +59,7 @@ class SingularPosition(eqx.Module):
         return f"{first} It went on as its inertia has it."
 
 
-def in_sentences(positions: tuple[SingularPosition, ...]) -> tuple[str, ...]:
+def sentences_of(positions: tuple[SingularPosition, ...]) -> tuple[str, ...]:
     """A sentence for the first singular position of each loop and kind, with the number of others.
 
     Args:

@@ -40,7 +40,7 @@ class Triangles(NamedTuple):
         return Triangles(self.points @ np.asarray(rotation).T + place, self.corners)
 
 
-def joined(parts: Iterable[Triangles]) -> Triangles:
+def join_parts(parts: Iterable[Triangles]) -> Triangles:
     """All parts as one; none at all are no triangles."""
     count, points, corners = 0, [np.zeros((0, 3))], [np.zeros((0, 3), int)]
     for part in parts:
@@ -50,7 +50,7 @@ def joined(parts: Iterable[Triangles]) -> Triangles:
     return Triangles(np.concatenate(points), np.concatenate(corners))
 
 
-def box(sides: Any) -> Triangles:
+def make_box(sides: Any) -> Triangles:
     """A cuboid about the origin. Faces have corners of their own, so that edges stay sharp."""
     parts = []
     for axis in range(3):
@@ -61,7 +61,7 @@ def box(sides: Any) -> Triangles:
             points[:, first] = [-side, side, side, -side]
             points[:, second] = [-1, -1, 1, 1]
             parts.append(Triangles(points, np.array([[0, 1, 2], [0, 2, 3]])))
-    cube = joined(parts)
+    cube = join_parts(parts)
     return Triangles(0.5 * cube.points * np.asarray(sides, float), cube.corners)
 
 
@@ -78,7 +78,7 @@ def _revolve(profile: np.ndarray) -> Triangles:
             [np.stack([low, low + 1, high], -1), np.stack([low + 1, high + 1, high], -1)]
         )
         parts.append(Triangles(np.concatenate(rings), corners))
-    return joined(parts)
+    return join_parts(parts)
 
 
 def rod(radius: float, length: float) -> Triangles:
@@ -87,7 +87,7 @@ def rod(radius: float, length: float) -> Triangles:
     return _revolve(np.array([[0.0, -half], [radius, -half], [radius, half], [0.0, half]]))
 
 
-def tube(inner: float, outer: float, length: float) -> Triangles:
+def make_tube(inner: float, outer: float, length: float) -> Triangles:
     """A hollow cylinder along z about the origin.
 
     Args:
@@ -98,20 +98,20 @@ def tube(inner: float, outer: float, length: float) -> Triangles:
     return _revolve(np.array([[inner, -half], [outer, -half], [outer, half], [inner, half]]))
 
 
-def ball(radius: float) -> Triangles:
+def make_ball(radius: float) -> Triangles:
     """A sphere about the origin."""
     angle = np.linspace(-0.5 * np.pi, 0.5 * np.pi, AROUND // 2 + 1)
     return _revolve(radius * np.stack([np.cos(angle), np.sin(angle)], -1))
 
 
-def capsule(radius: float, length: float) -> Triangles:
+def make_capsule(radius: float, length: float) -> Triangles:
     """A cylinder along z about the origin, of this length between the half spheres at its ends."""
     angle = np.linspace(0, 0.5 * np.pi, AROUND // 4 + 1)
     upper = np.stack([radius * np.cos(angle), 0.5 * length + radius * np.sin(angle)], -1)
     return _revolve(np.concatenate([upper[::-1] * [1, -1], upper]))
 
 
-def between(start: np.ndarray, end: np.ndarray, radius: float) -> Triangles:
+def rod_between(start: np.ndarray, end: np.ndarray, radius: float) -> Triangles:
     """A cylinder from one point to another.
 
     Args:
@@ -131,7 +131,7 @@ def _along(direction: np.ndarray) -> np.ndarray:
     return np.stack([first, np.cross(direction, first), direction], 1)
 
 
-def of_body(body: Body, joints: np.ndarray, size: float) -> Triangles:
+def solid_of_body(body: Body, joints: np.ndarray, size: float) -> Triangles:
     """A solid for a body: a block by its inertia, with rods to its joints.
 
     Args:
@@ -150,9 +150,9 @@ def of_body(body: Body, joints: np.ndarray, size: float) -> Triangles:
         # A bar in the plane lies between its joints, where its centre of mass may not be.
         along = turn[:, 0]
         middle = joints[0] + along * (along @ (com - joints[0]))
-    solid = box(np.maximum(sides, THINNEST * size)).moved(turn, middle)
+    solid = make_box(np.maximum(sides, THINNEST * size)).moved(turn, middle)
     ends = [end for end in joints if np.linalg.norm(end - com) > 1e-6 * size]
-    return joined([solid, *(between(com, end, ROD * size) for end in ends)])
+    return join_parts([solid, *(rod_between(com, end, ROD * size) for end in ends)])
 
 
 def _cuboid(body: Body, joints: np.ndarray, size: float) -> tuple[np.ndarray, np.ndarray]:
@@ -193,7 +193,7 @@ class Part(NamedTuple):
     @property
     def triangles(self) -> Triangles:
         """All of them."""
-        return joined([*self.joints.values(), self.solid])
+        return join_parts([*self.joints.values(), self.solid])
 
 
 def size_of(run: Any) -> float:
@@ -230,16 +230,16 @@ def parts(run: Any, meshes: Mapping[str, Triangles], size: float) -> dict[str, P
                 continue
             ends[marker.body].append(place)
             if marker.body == GROUND and not slides(connection.joint):
-                part = joined([part, _base_plate(part)])
+                part = join_parts([part, _base_plate(part)])
             if name not in hinges:
                 joints[marker.body][name] = part.moved(rotation, place)
-    solids = {name: joined([]) for name in ends} | dict(meshes)
+    solids = {name: join_parts([]) for name in ends} | dict(meshes)
     heaviest = max(float(body.mass) for body in run.mechanism.bodies.values())
     for name, body in run.mechanism.bodies.items():
         # One without mass is only there to join others, such as one between two hinges: its joints
         # are seen.
         if name not in meshes and float(body.mass) >= NO_MASS * heaviest:
-            solids[name] = of_body(body, np.array(ends[name]).reshape(-1, 3), size)
+            solids[name] = solid_of_body(body, np.array(ends[name]).reshape(-1, 3), size)
     return {name: Part(solids[name], joints[name]) for name in ends}
 
 
@@ -259,7 +259,7 @@ def _base_plate(part: Triangles) -> Triangles:
     """What a joint of the ground is fastened to: a square behind its part."""
     width, thick = 1.5 * np.ptp(part.points[:, 0]), 0.1 * np.ptp(part.points[:, 0])
     behind = np.array([0.0, 0.0, part.points[:, 2].min() - 0.5 * thick])
-    return box((width, width, thick)).moved(np.eye(3), behind)
+    return make_box((width, width, thick)).moved(np.eye(3), behind)
 
 
 def _joint(connection: Connection, size: float, travel: tuple[float, float]) -> tuple:
@@ -273,10 +273,10 @@ def _joint(connection: Connection, size: float, travel: tuple[float, float]) -> 
         return _rail_solids(joint, size, travel)
     radius = float(getattr(joint, "bearing_radius", getattr(joint, "socket_radius", PIN * size)))
     if rows == {"x", "y", "z"}:
-        ring = tube(1.02 * radius, AROUND_IT * radius, radius)
-        return ring, ball(radius)
+        ring = make_tube(1.02 * radius, AROUND_IT * radius, radius)
+        return ring, make_ball(radius)
     long = float(getattr(joint, "length", None) or LONG * size)
-    return tube(radius, AROUND_IT * radius, 0.8 * long), rod(0.98 * radius, long)
+    return make_tube(radius, AROUND_IT * radius, 0.8 * long), rod(0.98 * radius, long)
 
 
 def _rail_solids(joint: Any, size: float, travel: tuple[float, float]) -> tuple:
@@ -285,14 +285,14 @@ def _rail_solids(joint: Any, size: float, travel: tuple[float, float]) -> tuple:
     long = float(getattr(joint, "length", 2 * width))
     gap, thick = float(getattr(joint, "clearance", 0.0)), 0.25 * width
     low, high = travel[0] - 0.6 * long, travel[1] + 0.6 * long
-    bar = box((thick, width, high - low))
+    bar = make_box((thick, width, high - low))
     rails = [
         bar.moved(
             np.eye(3), np.array([side * (0.5 * (width + thick) + gap), 0.0, 0.5 * (low + high)])
         )
         for side in (-1, 1)
     ]
-    return joined(rails), box((width, width, long))
+    return join_parts(rails), make_box((width, width, long))
 
 
 def _travel_of_slider(run: Any, name: str) -> tuple[float, float]:
@@ -314,7 +314,7 @@ def checked_meshes(run: Any, meshes: Any) -> dict[str, Triangles]:
     for name, mesh in meshes.items():
         by_name = mesh if isinstance(mesh, Mapping) else {"": mesh}
         parts = (_mesh(f"{name}, {part}" if part else name, one) for part, one in by_name.items())
-        checked[name] = joined(parts)
+        checked[name] = join_parts(parts)
     return checked
 
 

@@ -142,7 +142,7 @@ def check_single(along: Array) -> None:
         )
 
 
-def one_of(batch: Any, along: Array, index: int) -> Any:
+def take_one(batch: Any, along: Array, index: int) -> Any:
     """One run, or one set of positions, of a batch.
 
     Args:

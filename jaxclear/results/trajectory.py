@@ -34,8 +34,8 @@ from jaxclear.results.histories import (
     MarkerHistory,
     ReactionHistory,
 )
-from jaxclear.results.singular_position import SingularPosition, in_sentences
-from jaxclear.results.state_history import SavedMotion, State, StateHistory, one_of
+from jaxclear.results.singular_position import SingularPosition, sentences_of
+from jaxclear.results.state_history import SavedMotion, State, StateHistory, take_one
 from jaxclear.results.transmissions import CouplingHistory
 from jaxclear.results.verification import AbstractVerification, Estimate, Unverified, checked
 
@@ -164,7 +164,7 @@ class Trajectory(AbstractShown):
             ValueError: if this is one run.
             IndexError: if the batch has fewer runs.
         """
-        return one_of(self, self.time, index)
+        return take_one(self, self.time, index)
 
     if not TYPE_CHECKING:
 
@@ -217,7 +217,7 @@ class Trajectory(AbstractShown):
         if not run.succeeded:
             ending = f"The run ended early, after {float(run.ended):.6g} s. {sentence}"
             if run.outcome == Outcome.SINGULAR_POSITION:
-                return " ".join([ending, *in_sentences(run.singular_positions)])
+                return " ".join([ending, *sentences_of(run.singular_positions)])
             why = run.invariants.before_the_end if run.outcome == Outcome.NOT_FINITE else ()
             return " ".join([ending, *why])
         if not run.warnings:
@@ -236,7 +236,7 @@ class Trajectory(AbstractShown):
         """
         self.history.check_single()
         if self.succeeded:
-            odd = in_sentences(tuple(one for one in self.singular_positions if not one.is_passed))
+            odd = sentences_of(tuple(one for one in self.singular_positions if not one.is_passed))
             return (
                 self.assembly_warnings + self.invariants.warnings + odd + self.verification.warnings
             )
@@ -254,7 +254,7 @@ class Trajectory(AbstractShown):
         topology = self.mechanism.topology
         remarks = [f"The loops are {topology.redundancy}"] if topology.overconstrained else []
         if self.succeeded:
-            remarks += in_sentences(tuple(one for one in self.singular_positions if one.is_passed))
+            remarks += sentences_of(tuple(one for one in self.singular_positions if one.is_passed))
         return *remarks, *self.verification.notes
 
     def estimate(self, response: Callable[["Trajectory"], Any]) -> Estimate:
@@ -413,7 +413,7 @@ class Trajectory(AbstractShown):
         Raises:
             ValueError: for a name that is no beam's.
         """
-        return beams.deflection(self, name, relative_to)
+        return beams.beam_deflection(self, name, relative_to)
 
     def stress(self, name: str) -> Float[Array, "time element"]:
         """Largest normal stress in the outer fibre of a `Beam`, by bending and stretching.
@@ -427,7 +427,7 @@ class Trajectory(AbstractShown):
         Raises:
             ValueError: for a name that is no beam's, or a section without a shape.
         """
-        return beams.stress(self, name)
+        return beams.beam_stress(self, name)
 
     def contact(self, name: str) -> ContactHistory:
         """Forces and gaps of a clearance joint.
@@ -502,7 +502,7 @@ class Trajectory(AbstractShown):
             ValueError: if the run recorded no events, there is no such joint, or numbers are being
                 traced.
         """
-        return modes.events(self.history, self.noted, names)
+        return modes.event_table(self.history, self.noted, names)
 
     @on_numbers
     def combined_modes(self, *names: str) -> Any:
@@ -550,7 +550,7 @@ class Trajectory(AbstractShown):
             ValueError: if there is no such joint or coupling, or numbers are being traced.
         """
         if name in self.mechanism.couplings:
-            return transmissions.switchings(self.history, name)
+            return transmissions.flank_switchings(self.history, name)
         return histories.switchings(self.history, name)
 
     def reaction(self, name: str) -> ReactionHistory:
@@ -569,7 +569,7 @@ class Trajectory(AbstractShown):
         Raises:
             ValueError: if there is no such connection.
         """
-        return histories.reaction(self.history, name)
+        return histories.reaction_history(self.history, name)
 
     def transmitted(self, name: str) -> Float[Array, " time"]:
         """Force or torque of a coupling, a drive or a load on a coordinate, over time.
@@ -688,7 +688,7 @@ class Trajectory(AbstractShown):
         Returns:
             Residuals [m, 1], shape (time,), by the joint that closes the loop.
         """
-        return histories.drift(self.history)
+        return histories.drift_history(self.history)
 
     def energy_balance(self) -> EnergyHistory:
         """Energies over time.
@@ -699,7 +699,7 @@ class Trajectory(AbstractShown):
         Raises:
             ValueError: if the run was simulated without `balance=True`.
         """
-        return histories.energies(self.history)
+        return histories.energy_history(self.history)
 
     @on_numbers
     def to_dataset(self, *, flat: bool = False) -> Any:
@@ -721,7 +721,7 @@ class Trajectory(AbstractShown):
         texts = {"result": self.result, "warnings": " ".join(self.warnings)}
         attributes = {**texts, "accepted_steps": int(self.accepted_steps)}
         attributes.update(self.invariants.attributes() | self.verification.attributes())
-        return export.of_run(self.history, self.worn, attributes, flat)
+        return export.dataset_of_run(self.history, self.worn, attributes, flat)
 
     def to_csv(self, path: Any) -> Path:
         """Write a CSV file: a row for each saving time, names with units, every digit.

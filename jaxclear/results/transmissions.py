@@ -23,10 +23,10 @@ from jaxclear.multibody.system import coordinate_loads, scale_of
 from jaxclear.multibody.topology import motor_name
 from jaxclear.results.histories import (
     AbstractHistory,
-    driving,
+    drive_history,
     is_unique,
-    measured,
-    solved,
+    measured_field,
+    solve_instant,
 )
 from jaxclear.results.state_history import StateHistory, check_name, over_time
 
@@ -45,11 +45,11 @@ class CouplingHistory(AbstractHistory):
             does, 0 in the gap or without play, shape (time,).
     """
 
-    twist: Float[Array, " time"] = measured("rad")
-    rate: Float[Array, " time"] = measured("rad/s")
-    torque: Float[Array, " time"] = measured("N m")
-    loss: Float[Array, " time"] = measured("W")
-    flank: Int[Array, " time"] = measured("1")
+    twist: Float[Array, " time"] = measured_field("rad")
+    rate: Float[Array, " time"] = measured_field("rad/s")
+    torque: Float[Array, " time"] = measured_field("N m")
+    loss: Float[Array, " time"] = measured_field("W")
+    flank: Int[Array, " time"] = measured_field("1")
     lost = Renamed("loss")
 
 
@@ -77,7 +77,7 @@ def _seated_history(history: StateHistory, name: str) -> CouplingHistory:
     return CouplingHistory(twist, none, torque, none, flank.astype(int))
 
 
-def switchings(history: StateHistory, name: str) -> Any:
+def flank_switchings(history: StateHistory, name: str) -> Any:
     """Instants at which another flank of a coupling begins to press, as a pandas table (time [s],
     from, to), read off a straight line between saving times."""
     history.check_single()
@@ -116,7 +116,7 @@ def transmitted(history: StateHistory, name: str) -> Float[Array, " time"]:
     if name in loads and name not in (*mechanism.couplings, *mechanism.driven):
         return _force_of_load(history, name)
     if name not in mechanism.couplings:
-        return driving(history, name)
+        return drive_history(history, name)
     is_unique(history, name, f'what coupling "{name}" transmits')
     return _transmitted_over_time(history, name)
 
@@ -142,8 +142,7 @@ def sent_at(history: StateHistory, now: Instant, names: tuple[str, ...]) -> tupl
     """Torque or force that couplings transmit at an instant [N m, N].
 
     It is the multiplier of a rigid coupling, the force on the first coordinate of a flexible one,
-    and for
-    a motor that turns with a joint what it gives that joint.
+    and for a motor that turns with a joint what it gives that joint.
 
     Args:
         history: states of the run.
@@ -151,7 +150,7 @@ def sent_at(history: StateHistory, now: Instant, names: tuple[str, ...]) -> tupl
         names: couplings, in the order of the result.
     """
     pressed = functools.cache(lambda: _pressing_at(history, now))
-    solution = functools.cache(lambda: solved(history, now))
+    solution = functools.cache(lambda: solve_instant(history, now))
     rows = functools.cache(lambda: _multiplier_by_closure(now, solution()[2]))
 
     def one(name):
@@ -177,14 +176,14 @@ def _pressing_at(history: StateHistory, now: Instant) -> dict[str, Any]:
 def _multiplier_by_closure(now: Instant, solution: Any) -> dict[str, Any]:
     """The multiplier of the first row of every closure, by what closes the loop."""
     system = now.model.system
-    every = constraints.by_closure(system, now.motions, solution.multipliers)
+    every = constraints.multipliers_by_closure(system, now.motions, solution.multipliers)
     names = system.topology.loops
     return {name: r.get(0, 0.0) for name, (_, r) in zip(names, every, strict=True)}
 
 
 def _geared(history: StateHistory, now: Instant, name: str, parts: tuple) -> Any:
-    """The torque on the joint: what loads on the motor leave of its inertia; `parts` as `solved`
-    has it."""
+    """The torque on the joint: what loads on the motor leave of its inertia; `parts` as
+    `solve_instant` has it."""
     system, _, solution = parts
     motor = motor_name(name)
     geared_motor = system.geared[motor]

@@ -95,7 +95,7 @@ def guarded(run: Trajectory, integrator: AbstractIntegrator, discrete: bool = Fa
     Args:
         run: whose computed numbers are guarded where they are traced.
         integrator: of the run.
-            discrete: whether derivatives of the discrete run are wanted, which pass where the
+        discrete: whether derivatives of the discrete run are wanted, which pass where the
             integrator has
             them (`pathwise`).
     """
@@ -179,8 +179,7 @@ def in_other_steps(integrator: Any, share: Any, times: Any) -> Any:
     """The integrator with steps of another length.
 
     Steps that a tolerance decides are also bounded by the saving interval: at rest no tolerance
-    shortens
-    them, and they are too long for a derivative.
+    shortens them, and they are too long for a derivative.
 
     Args:
         integrator: of the run.
@@ -210,9 +209,9 @@ def compared(
 
     Args:
         function: whose results and derivatives are wanted.
-            finer: `finer(share, *arguments)`: arguments for steps that are this share of the usual
+        finer: `finer(share, *arguments)`: arguments for steps that are this share of the usual
             ones.
-            judged: `judged(result, tangents, ratios, least)`: the derivatives to return; of
+        judged: `judged(result, tangents, ratios, least)`: the derivatives to return; of
             `tangents` the
                     nominal run's come first, `ratios` are errors at the other step sizes over the
             nominal one's,
@@ -302,8 +301,8 @@ def refuse_run(run: Trajectory, tangents: Trajectory, ratios: Array, least: Scal
     """Derivatives of a run, nan where steps decide them.
 
     Those of states at the end are judged beside their own size, at an earlier instant beside the
-    largest
-    that the derivative of this number has been, anything else beside the largest of its kind.
+    largest that the derivative of this number has been, anything else beside the largest of its
+    kind.
 
     Args:
         run: the nominal run.

@@ -11,7 +11,7 @@ from jaxclear.ground.arguments import expect
 from jaxclear.ground.quantity import is_traced
 from jaxclear.ground.wording import listed
 from jaxclear.multibody import start_check
-from jaxclear.multibody.assembly import Start, ready, ready_from
+from jaxclear.multibody.assembly import Start, ready, ready_from_state
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.state import names
 from jaxclear.results.state_history import State
@@ -61,7 +61,7 @@ def beginning(mechanism: Mechanism, formulation: AbstractFormulation, state: Sta
         beyond = start_check.beyond_limits(start.mechanism, start.start)
         doubt = " ".join(filter(None, (start.doubt, beyond)))
         return Beginning(start.mechanism, start.start, past, doubt)
-    return Beginning(*ready_from(mechanism, *state.motion.moving), past)
+    return Beginning(*ready_from_state(mechanism, *state.motion.moving), past)
 
 
 def past_of(mechanism: Mechanism, formulation: AbstractFormulation, start: State) -> Past:

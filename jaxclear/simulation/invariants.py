@@ -50,22 +50,22 @@ from jaxclear.native import through_rows
 from jaxclear.results.state_history import StateHistory
 from jaxclear.results.trajectory import Trajectory
 from jaxclear.simulation.model_limits import (
-    by_others,
-    collared,
+    collared_bearings,
     contact_loss,
     coulomb_friction,
     gap_motion,
+    gap_placements,
     in_gaps,
     indeterminate_forces,
+    is_held_by_others,
     laws_of_others,
-    masses,
-    placed,
+    lighter_masses,
+    power_by_coulomb,
     pressed,
-    rubbed_as_coulombs,
     share_along,
-    shared,
-    sliding,
-    unheld,
+    sharing_of_forces,
+    sliding_bearings,
+    uncollared_bearings,
 )
 from jaxclear.simulation.wear import Worn
 
@@ -127,7 +127,7 @@ def _entries_of_row(rows: Array, row: Any, columns: Any = None) -> list[Array]:
     return [jax.lax.dynamic_slice(rows, (row, k), (1, 1))[0, 0] for k in columns]
 
 
-def look(history: StateHistory, model: Model) -> Looks:
+def look_at_run(history: StateHistory, model: Model) -> Looks:
     """The looks of a run at itself: up to `MOST`, evenly spread, the last saving time among
     them."""
     count = len(history.time) - 1
@@ -145,7 +145,7 @@ def judged(trajectory: Trajectory, model: Model, initial: Worn, residual: Any = 
         residual: that of the laws for which steps solve (None: they solve for none).
     """
     history = trajectory.history
-    looks, ends = look(history, model), jnp.asarray(history.time)[1:]
+    looks, ends = look_at_run(history, model), jnp.asarray(history.time)[1:]
     figures, of_run, verdict = _figures_of_looks(looks)
     of_run |= wear_by_cells(model, initial, trajectory.worn)
     if residual is not None:
@@ -241,9 +241,9 @@ def _place_names(model: Model, formulation: AbstractFormulation) -> dict[str, tu
         CONTACTS: contact_names(model)[: model.layout.joint_contacts],
         SURFACES: tuple(slot.bearing for slot in model.layout.wear),
         RUBBING: tuple(laws_of_others(model, formulation)),
-        COLLARS: collared(model),
-        UNHELD: unheld(model),
-        SLIDING: sliding(model.system),
+        COLLARS: collared_bearings(model),
+        UNHELD: uncollared_bearings(model),
+        SLIDING: sliding_bearings(model.system),
         TOUCHING: tuple(joint.name for joint in touching(model.system)),
         IN_GAPS: tuple(in_gaps(model)),
         MECHANISM: ("",),
@@ -270,7 +270,7 @@ def _figures_of_looks(looks: Looks) -> tuple[Figures, Figures, Array | None]:
     if "rubbed" in looked:
         of_run[Check.COULOMB_FRICTION] = coulomb_friction(looked["rubbed"], times)
     if "gaps" in looked:
-        heavy = masses(in_gaps(model), looks.history.mechanism)
+        heavy = lighter_masses(in_gaps(model), looks.history.mechanism)
         of_run[Check.GAP_MOTION] = gap_motion(looked["gaps"], times, heavy)
     if "shared" in looked:
         of_run[Check.INDETERMINATE_FORCE] = indeterminate_forces(looked["shared"])
@@ -284,8 +284,8 @@ def _make_look(looks: Looks) -> Callable[[Instant], dict[str, Any]]:
     system, formulation = looks.model.system, looks.history.formulation
     driven, mechanism = looks.history.mechanism.driven, looks.history.mechanism
     others, narrowest = laws_of_others(looks.model, formulation), _smallest_clearance(looks.model)
-    collars, free = collared(looks.model), unheld(looks.model)
-    gaps, loose = in_gaps(looks.model), sliding(system)
+    collars, free = collared_bearings(looks.model), uncollared_bearings(looks.model)
+    gaps, loose = in_gaps(looks.model), sliding_bearings(system)
 
     def judged(now: Instant) -> dict[str, Any]:
         by_check: dict[Check, Array] = {}
@@ -294,21 +294,21 @@ def _make_look(looks: Looks) -> Callable[[Instant], dict[str, Any]]:
         values = {"told": by_check} | ({} if verdict is None else {"verdict": verdict})
         # Worked out once, for all that ask.
         report = functools.cache(lambda name: formulation.contact(now, name))
-        values |= {"rubbed": rubbed_as_coulombs(others, report)} if others else {}
+        values |= {"rubbed": power_by_coulomb(others, report)} if others else {}
         reports = lambda names: [report(name) for name in names]
         values["along"] = {}
         if collars:
             values["along"][Check.COLLAR_FORCE] = pressed(reports(collars), [True] * len(collars))
         if free:
-            counted = [not joint for joint in by_others(now, mechanism, free)]
+            counted = [not joint for joint in is_held_by_others(now, mechanism, free)]
             values["along"][Check.UNHELD_FORCE] = pressed(reports(free), counted)
         if loose:
             by_check[Check.JOURNAL_REACH] = contact_loss(
                 system, {name: report(name) for name in loose}
             )
         if gaps:
-            values["gaps"] = placed({name: report(name) for name in gaps}, now, mechanism)
-        sharing = shared(now, report, mechanism)
+            values["gaps"] = gap_placements({name: report(name) for name in gaps}, now, mechanism)
+        sharing = sharing_of_forces(now, report, mechanism)
         values |= {} if sharing is None else {"shared": sharing}
         return values | ({} if driven else _energies_at(now, formulation))
 
@@ -381,8 +381,7 @@ def wear_by_cells(model: Model, initial: Worn, ended: Worn) -> Figures:
     """How narrow each worn scar is in cells, by contact (`narrowness`).
 
     It is 0 for a surface that has lost nothing since the run began. Depths of a scar hardly wider
-    than a
-    cell depend on the number of cells.
+    than a cell depend on the number of cells.
 
     Args:
         model: of the run.
@@ -408,8 +407,7 @@ def narrowness(
     """Relative difference between the deepest cell and the deepest mean over 3 x 3 cells [1].
 
     A mean over three cells is nine times as far off as that over one where a scar is smooth, so
-    this
-    tells how many cells a scar is wide.
+    this tells how many cells a scar is wide.
 
     Args:
         wear_map: cells of the surface.

@@ -56,7 +56,7 @@ def functions_of_time(mechanism: Mechanism) -> dict[str, Any]:
     return values | {name: drive for name, drive in drives if drive is not None}
 
 
-def changes(function: Any) -> bool:
+def is_changing(function: Any) -> bool:
     """Whether a drive or function is more than a constant speed."""
     return not isinstance(function, AbstractDrive) or not sp.is_zero(function.motion(0.0)[2])
 
@@ -221,7 +221,7 @@ def _find_breaks(question: Key) -> tuple[np.ndarray, dict[str, float]]:
     """The times [s] at which steps that find their own length are to end, and by name the shares
     that others pass over."""
     everything, times, step, fixed = question.arguments
-    functions = {name: each for name, each in everything.items() if changes(each)}
+    functions = {name: each for name, each in everything.items() if is_changing(each)}
     check_finite(functions, times)
     edges = step_ends(times, step, fixed) if step is not None or fixed is not None else None
     missed = missed_shares(functions, edges) if functions and edges is not None else {}

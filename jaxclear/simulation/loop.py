@@ -45,7 +45,7 @@ from jaxclear.simulation import progress
 from jaxclear.simulation.error_weights import error_weights
 from jaxclear.simulation.initial_state import Past
 from jaxclear.simulation.invariants import contact_labels, contact_names, is_too_deep, judged
-from jaxclear.simulation.sampling import next_instant, sampled, sampled_loads
+from jaxclear.simulation.sampling import next_instant, sample_loads, sampled_loads
 from jaxclear.simulation.saving import with_few_enough_steps
 from jaxclear.simulation.wear import (
     Losses,
@@ -164,7 +164,7 @@ def run(
         integrator: with its formulation.
         extras: what the run does beside the motion: energies, progress, events.
         past: worn surfaces and memories of an earlier run.
-            updates: updates of worn surfaces as a multiple of the usual number, where steps are not
+        updates: updates of worn surfaces as a multiple of the usual number, where steps are not
             counted.
     """
     formulation, integrator = integrator.formulation, with_few_enough_steps(integrator, times)
@@ -184,13 +184,13 @@ def run(
     stats, noted = RunStats(*last.steps, verdict(last.outcome)), saved.noted
     if noted is not None:
         noted = noted._replace(counts=noted.counts * (times[:-1] <= last.ended)[:, None])
-    extremes = largest_of(mechanism, model, last)
+    extremes = extremes_of(mechanism, model, last)
     ends = history, last.worn, last.outcome, last.ended, stats
     residual = integrator.law_residual(model, last.warm_start)
     return judged(Trajectory(*ends, extremes=extremes, noted=noted), model, worn, residual)
 
 
-def largest_of(mechanism: Mechanism, model: Model, last: Carry) -> Extremes | None:
+def extremes_of(mechanism: Mechanism, model: Model, last: Carry) -> Extremes | None:
     """Largest indentations and forces over a run; None where none were followed.
 
     Args:
@@ -369,7 +369,13 @@ class Turn:
         self.advance = jax.jit(advance)
 
     def interval_ahead(self, span: Span, running: Array, peaks: Peaks | None) -> Interval:
-        """The interval of a span, with the peaks of the run until then (None: it begins)."""
+        """The interval of a span, with the peaks of the run until then.
+
+        Args:
+            span: between two saving times.
+            running: whether the run goes on.
+            peaks: largest depths and forces so far; None: the run begins.
+        """
         weights, none = error_weights(self.model), jnp.full(self.model.layout.contacts, -jnp.inf)
         if not none.size:
             return Interval(span.start, span.stop, weights, running)
@@ -396,7 +402,7 @@ class Turn:
         model, layout = self.model, self.model.layout
         running = (now.outcome == Outcome.REACHED).astype(bool)
         ahead = self.interval_ahead(span, running, now.peaks)
-        start = sampled(model, span.start, now.state)
+        start = sample_loads(model, span.start, now.state)
         result = self.advance(self.arrays, now.read, ahead, start, now.warm_start)
         moving = result.state[: layout.memory_start]
         sound = jnp.all(jnp.isfinite(result.state)) & jnp.all(abs(moving) < BOUNDLESS)

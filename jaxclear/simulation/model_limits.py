@@ -3,10 +3,10 @@
 Of joints that always touch: the model puts the inner part where its force presses it, at once,
 while a body takes time for the way and lags where its force turns fast (`gap_motion`); rows of a
 loop that no motion changes carry nothing in the joint that closes it, though contacts would share
-what they can (`shared`); what collars carry is the reaction along the axis, which rubs and wears
-nothing, and without collars nothing but the model holds a journal there (`pressed`). And of
-friction that is taken as Coulomb's by the coefficients of another law: they are one where a joint
-slides fast and long, and others where it sticks, slides slowly, or its bristles yield
+what they can (`sharing_of_forces`); what collars carry is the reaction along the axis, which rubs
+and wears nothing, and without collars nothing but the model holds a journal there (`pressed`). And
+of friction that is taken as Coulomb's by the coefficients of another law: they are one where a
+joint slides fast and long, and others where it sticks, slides slowly, or its bristles yield
 (`coulomb_friction`).
 """
 
@@ -39,7 +39,7 @@ def in_gaps(model: Model) -> dict[str, Any]:
     return {name: gap for name, gap in gaps.items() if gap is not None}
 
 
-def placed(
+def gap_placements(
     reports: dict[str, ContactReport], now: Instant, mechanism: Mechanism
 ) -> Float[Array, "13 joints"]:
     """Positions and forces in joints at a look, from which `gap_motion` is computed.
@@ -66,7 +66,7 @@ def placed(
     return jnp.stack(columns, axis=1)
 
 
-def masses(names: Iterable[str], mechanism: Mechanism) -> Float[Array, " joints"]:
+def lighter_masses(names: Iterable[str], mechanism: Mechanism) -> Float[Array, " joints"]:
     """The lighter of the bodies that each of these joints connects [kg]."""
 
     def lighter(name: str) -> Any:
@@ -85,11 +85,10 @@ def gap_motion(
     """Inertia force of the journal's motion in its gap over the contact force, by joint [1].
 
     Where a force turns round between two looks parts separate, which `Trajectory.switchings` tells,
-    and
-    nothing is counted.
+    and nothing is counted.
 
     Args:
-        looks: rows of `placed`, look after look.
+        looks: rows of `gap_placements`, look after look.
         times: of the looks [s].
         heavy: mass of the lighter body at each joint [kg].
     """
@@ -109,7 +108,7 @@ def gap_motion(
     return safe_divide(jnp.sum(width * counted, axis=0), jnp.sum(width * forces, axis=0))
 
 
-def shared(
+def sharing_of_forces(
     now: Instant, report: Callable[[str], ContactReport], mechanism: Mechanism
 ) -> Float[Array, "2 joints"] | None:
     """How unique the forces on the ends of joints that always touch are; None where they are.
@@ -124,7 +123,7 @@ def shared(
         mechanism: whose redundant rows carry forces without motion.
     """
     joints = touching(now.model.system)
-    rows = unmoved(now, mechanism) if joints else []
+    rows = reactions_without_motion_of(now, mechanism) if joints else []
     if not rows:
         return None
     reports = [report(one.name) for one in joints]
@@ -146,7 +145,7 @@ def shared(
     return jnp.stack(columns, axis=1)
 
 
-def unmoved(now: Instant, mechanism: Mechanism) -> list[tuple[Reaction, ...]]:
+def reactions_without_motion_of(now: Instant, mechanism: Mechanism) -> list[tuple[Reaction, ...]]:
     """For each row of a loop that no motion changes: what a force 1 in it adds to the reactions of
     the joints that always touch [N, N m]."""
     system = now.model.system
@@ -183,18 +182,18 @@ def indeterminate_forces(looks: Float[Array, "looks 2 joints"]) -> Float[Array, 
     return safe_divide(others, jnp.max(carried, initial=0.0))
 
 
-def collared(model: Model) -> tuple[str, ...]:
+def collared_bearings(model: Model) -> tuple[str, ...]:
     """The bearings with collars that always touch."""
     gaps = in_gaps(model)
     return tuple(name for name, gap in gaps.items() if getattr(gap, "flange", None) is not None)
 
 
-def unheld(model: Model) -> tuple[str, ...]:
+def uncollared_bearings(model: Model) -> tuple[str, ...]:
     """The bearings without collars that always touch."""
     return tuple(name for name, gap in in_gaps(model).items() if gap.overhang(0.0) is not None)
 
 
-def by_others(now: Instant, mechanism: Mechanism, names: tuple[str, ...]) -> list[bool]:
+def is_held_by_others(now: Instant, mechanism: Mechanism, names: tuple[str, ...]) -> list[bool]:
     """Whether a joint's force along its axis is not unique, as other joints may carry it.
 
     Args:
@@ -204,13 +203,13 @@ def by_others(now: Instant, mechanism: Mechanism, names: tuple[str, ...]) -> lis
     """
     redundancy, joints = now.model.system.topology.redundancy, touching(now.model.system)
     open_ = set() if redundancy is None else {*redundancy.joints}
-    for reactions in unmoved(now, mechanism):
+    for reactions in reactions_without_motion_of(now, mechanism):
         pairs = zip(joints, reactions, strict=True)
         open_ |= {one.name for one, reaction in pairs if not sp.is_zero(reaction.force[2])}
     return [name in open_ for name in names]
 
 
-def sliding(system: System) -> tuple[str, ...]:
+def sliding_bearings(system: System) -> tuple[str, ...]:
     """The bearings without collars whose journals move in their gaps."""
     gaps = {name: one.joint for name, one in system.bearings.items()}
     return tuple(name for name, gap in gaps.items() if gap.overhang(0.0) is not None)
@@ -253,7 +252,7 @@ def laws_of_others(model: Model, formulation: AbstractFormulation) -> dict[str, 
     return {name: law for name, law in laws.items() if law is not None and not law.set_valued}
 
 
-def rubbed_as_coulombs(
+def power_by_coulomb(
     laws: dict[str, Any], report: Callable[[str], ContactReport]
 ) -> Float[Array, "3 joints"]:
     """Of each joint, of which a `report` tells at a look: the power [W] that Coulomb's law and its
@@ -287,7 +286,7 @@ def coulomb_friction(
     looks: Float[Array, "looks 3 joints"], times: Float[Array, " looks"]
 ) -> Float[Array, " joints"]:
     """By joint the share of its friction loss that its own law takes and Coulomb's does not, or the
-    other way round, from what was told by `rubbed_as_coulombs` at looks at these times [s]."""
+    other way round, from what was told by `power_by_coulomb` at looks at these times [s]."""
     power, other_loss, settled = (looks[:, k] for k in range(3))
     widths = jnp.diff(times)[:, None]
     over_run = lambda rate: jnp.sum(0.5 * widths * (rate[1:] + rate[:-1]), axis=0)

@@ -25,7 +25,7 @@ def bar(visible: bool, label: str, total: float = 1.0) -> Iterator[Part]:
         total: known work, in units of one run.
 
     Yields:
-            A function of an amount of work; in the block `with part(work):` a run advances by that
+        A function of an amount of work; in the block `with part(work):` a run advances by that
         much.
     """
     if not visible or _bars:

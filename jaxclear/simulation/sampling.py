@@ -61,7 +61,7 @@ def next_instant(system: System, time: Any, stop: Any) -> Any:
     return ahead
 
 
-def sampled(model: Model, time: Any, state: Float[Array, " n"]) -> Float[Array, " n"]:
+def sample_loads(model: Model, time: Any, state: Float[Array, " n"]) -> Float[Array, " n"]:
     """The state with new outputs of the loads that sample the motion at this instant.
 
     Args:

@@ -400,7 +400,7 @@ def chosen_for(
         mechanism: of the run.
         duration: of the run [s].
         observe: function from a run to what is compared of it.
-            compare: function of a run and two observations: how far these are apart, as multiples
+        compare: function of a run and two observations: how far these are apart, as multiples
             of what
             is allowed, by name.
         how: settings of `simulate`.

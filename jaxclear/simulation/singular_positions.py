@@ -29,15 +29,15 @@ from jaxclear.integrators.checks import Outcome
 from jaxclear.multibody import constraints
 from jaxclear.multibody.constraints import DrivenLoop, driven_loops
 from jaxclear.multibody.mechanism import Mechanism
-from jaxclear.multibody.newton import blocks_of, closed, levenberg, shortened
+from jaxclear.multibody.newton import blocks_of, closed, levenberg, shorten_step
 from jaxclear.multibody.start_equations import (
     Ask,
-    ask,
     motions_at,
     retract,
-    scaled,
+    scale,
     speed_scales,
     stacked,
+    start_problem,
 )
 from jaxclear.native.compiled import compiled_quickly
 from jaxclear.results.singular_position import SingularPosition
@@ -121,7 +121,7 @@ def _can_close(
 ) -> Bool[Array, ""]:
     """Whether coordinates that close the loops follow from q at all times from `start` to `stop`
     [s]; true without a look where that is not asked for."""
-    problem = ask(mechanism, False)
+    problem = start_problem(mechanism, False)
 
     def continues(carry):
         done, _, follows = carry
@@ -172,7 +172,7 @@ def _jacobians_along(
 ) -> tuple[Array, Array, Array]:
     """(at each time the Jacobian of the loops' rows that count alike, whether the loops were
     closed there; the place of the loop of each row)."""
-    problem = ask(mechanism, False)
+    problem = start_problem(mechanism, False)
 
     def follow(q, ahead):
         time, length = ahead
@@ -182,7 +182,7 @@ def _jacobians_along(
         residual = stacked(problem, blocks)[1]
         # To first order in what is left the position is the same.
         closed_enough = jnp.max(jnp.abs(residual), initial=0.0) <= NEARLY**2 * problem.arm
-        return q, (scaled(problem, blocks)[0], closed_enough)
+        return q, (scale(problem, blocks)[0], closed_enough)
 
     lengths = jnp.diff(times, prepend=times[:1])
     rows, follows = jax.lax.scan(follow, q, (times, lengths))[1]
@@ -242,7 +242,7 @@ def _rates(problem: Ask, q: Array, v: Array, time: Any, length: Any) -> tuple[Ar
 def _along(mechanism: Mechanism, q: Array, v: Array, times: Array) -> tuple[Array, ...]:
     """At each saved state: determinants, their rates, how fast the fastest coordinate is
     [rad/s, longest arms/s]; and how far the drives move in each saving interval."""
-    problem = ask(mechanism, False)
+    problem = start_problem(mechanism, False)
     scales = speed_scales(problem)
     lengths = jnp.diff(times, append=times[-1:] + times[-1:] - times[-2:-1])
     values, rates = jax.vmap(lambda *state: _rates(problem, *state))(q, v, times, lengths)
@@ -284,11 +284,11 @@ def _follow_intervals(
 ) -> _Candidates:
     """The candidates of intervals, from the motion (q, v) at their begins; `spans`: when they begin
     and end [s], and how many of them count."""
-    problem, (q, v), (starts, ends, number) = ask(mechanism, False), motion, spans
+    problem, (q, v), (starts, ends, number) = start_problem(mechanism, False), motion, spans
     scales = speed_scales(problem)
 
     def closer(place, done, time):
-        step = scales * levenberg(*scaled(problem, blocks_of(problem, place, time)), HALVING)
+        step = scales * levenberg(*scale(problem, blocks_of(problem, place, time)), HALVING)
         return retract(problem.system, place, step), done + step
 
     def part(carry):
@@ -336,7 +336,7 @@ def _confirm_zero(
     """(when the loops are closed and the determinant is 0, what is left of either, for each free
     speed how much it moves where nothing moves the loops, for each row its share of the forces
     that no motion feels), by Newton's method from the middle of a time [s] on."""
-    problem = ask(mechanism, False)
+    problem = start_problem(mechanism, False)
     scales, span = speed_scales(problem), end - begin
 
     def missed(moved):
@@ -346,7 +346,7 @@ def _confirm_zero(
 
     def nearer_to_it(_, moved):
         step = levenberg(jax.jacfwd(missed)(moved), missed(moved), HALVING)
-        return moved + shortened(step, jnp.ones(len(step)))
+        return moved + shorten_step(step, jnp.ones(len(step)))
 
     first = jnp.zeros(len(scales) + 1).at[-1].set(0.5)
     moved = jax.lax.fori_loop(0, NEWTON, nearer_to_it, first)

@@ -122,7 +122,7 @@ def worn_by(system: System, worn: Worn, losses: Losses) -> Worn:
 
     def through(numbers, worn, losses):
         system = eqx.combine(numbers, rest)
-        one = lambda worn, events: (deposited(system, worn, events), None)
+        one = lambda worn, events: (deposit_losses(system, worn, events), None)
         return jax.lax.scan(one, worn, losses)[0]
 
     return one_by_one(through)(numbers, worn, losses)
@@ -163,7 +163,7 @@ def losses(layout: Layout, before: Array, after: Array) -> Losses:
     }
 
 
-def deposited(system: System, worn: Worn, losses: Losses) -> Worn:
+def deposit_losses(system: System, worn: Worn, losses: Losses) -> Worn:
     """Depth maps [m] after losses, all of which see the surfaces as they were.
 
     Args:
@@ -296,7 +296,7 @@ def wear_all(system: System, worn: Worn, _: Worn, losses: Losses) -> tuple[Worn,
         _: the maps as gaps read them before, which are not needed.
         losses: volume and place of each event, by (joint, surface).
     """
-    worn = deposited(system, worn, losses)
+    worn = deposit_losses(system, worn, losses)
     return worn, readings(system, worn)
 
 

@@ -83,8 +83,7 @@ class Rounded(eqx.Module):
         r"""The gaps [m] of a joint; those level in the middle as :math:`g - g^2 / 2 g_0`.
 
         That is :math:`(c^2 - e^2) / 2c` for a round bore: smooth in the middle, 0 at the wall with
-        the
-        same slope.
+        the same slope.
 
         Args:
             name: of the joint.
@@ -236,7 +235,7 @@ def angles_near(case: Case, q: Array) -> dict[str, Any]:
     }
 
 
-def resting(case: Case, q: Array, multipliers: Array, pushes: Array) -> Resting:
+def rest_at(case: Case, q: Array, multipliers: Array, pushes: Array) -> Resting:
     """The mechanism at rest, with the reaction of every joint.
 
     Reactions are on the joint's child about its marker, in the parent marker's axes.
@@ -266,7 +265,7 @@ def resting(case: Case, q: Array, multipliers: Array, pushes: Array) -> Resting:
     return Resting(system, motions, reactions)
 
 
-def offsets(case: Case, q: Array) -> dict[str, Array]:
+def journal_offsets(case: Case, q: Array) -> dict[str, Array]:
     """Where each journal lies: offset (x, y, z) [m] and slope (dx/dz, dy/dz) of its axis [1]."""
     motions = _motions_at_rest(case.system, q)[2]
     out = {}
@@ -278,7 +277,7 @@ def offsets(case: Case, q: Array) -> dict[str, Array]:
     return out
 
 
-def amiss(case: Case, q: Array) -> tuple[dict[str, Any], dict[str, Any]]:
+def list_residuals(case: Case, q: Array) -> tuple[dict[str, Any], dict[str, Any]]:
     """By how much each loop is open [m, 1], by the joint that closes it, and how deep each journal
     lies in its bearing [m]."""
     motions = _motions_at_rest(case.system, q)[2]

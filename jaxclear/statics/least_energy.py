@@ -24,7 +24,7 @@ from jaxclear.ground.numerics import safe_divide
 from jaxclear.ground.quantity import is_traced, is_tracing
 from jaxclear.multibody.assembly import nearest, ready
 from jaxclear.multibody.closure_coordinates import angles_at_start
-from jaxclear.multibody.start_equations import ask, motions_at, retract
+from jaxclear.multibody.start_equations import motions_at, retract, start_problem
 from jaxclear.native.compiled import compiled_quickly
 from jaxclear.statics import equilibrium
 from jaxclear.statics.equilibrium import Carried, Case, Measures, Rounded, Terms
@@ -103,7 +103,7 @@ class ByEnergy(eqx.Module):
             starts: with a first axis of positions.
         """
         if is_traced((scene, position, starts)) or is_tracing():
-            one = lambda p, start: settle(scene.at(p), start, self, near=True)
+            one = lambda p, start: find_rest(scene.at(p), start, self, near=True)
             return _split_before(jax.vmap(one)(position, starts), starts)
         # One after the other, by the program that has led from one to the next.
         count = range(len(position))
@@ -121,7 +121,7 @@ class ByEnergy(eqx.Module):
             position: of the drives, shape (positions, drives).
             spots: solutions (`each`).
         """
-        offsets = lambda place, spot: equilibrium.offsets(
+        offsets = lambda place, spot: equilibrium.journal_offsets(
             _make_case(scene.at(place), spot, self), spot.q
         )
         seats = jax.vmap(offsets)(position, spots)
@@ -133,7 +133,7 @@ class ByEnergy(eqx.Module):
 
     def amiss(self, scene: Posed, spot: Rest) -> tuple[dict[str, Any], dict[str, Any]]:
         """By how much loops are open [m, 1] and journals deep in their bearings [m], by joint."""
-        return equilibrium.amiss(_make_case(scene, spot, self), spot.q)
+        return equilibrium.list_residuals(_make_case(scene, spot, self), spot.q)
 
 
 class Linear(NamedTuple):
@@ -166,7 +166,7 @@ class Search(NamedTuple):
     here: Linear
 
 
-def settle(scene: Posed, start: Rest, method: ByEnergy, near: bool = False) -> Rest:
+def find_rest(scene: Posed, start: Rest, method: ByEnergy, near: bool = False) -> Rest:
     """Where the mechanism rests; pure, with derivatives by the scene's numbers (implicit ones).
 
     Args:
@@ -205,7 +205,7 @@ def initial_rest(scene: Posed) -> tuple[Rest, ByEnergy]:
         # is refused, by name, where nothing is found from there.
         start = nearest(scene.mechanism, False).start
     method = ByEnergy(equilibrium.rounded(scene.mechanism), jnp.ones(()))
-    problem = ask(scene.mechanism, False)
+    problem = start_problem(scene.mechanism, False)
     system, still = problem.system, jnp.zeros(problem.system.topology.speed_count)
     motions = motions_at(problem, start.coordinates, still, 0.0)[2]
     names = tuple(name for name, joint in system.measured.items() if joint.followed)
@@ -233,7 +233,7 @@ def _split_before(rest: Rest, starts: Rest) -> Rest:
     return eqx.tree_at(lambda r: r.split, rest, rest.split | starts.split)
 
 
-_settled = compiled_quickly(settle)
+_settled = compiled_quickly(find_rest)
 
 
 def _make_case(scene: Posed, start: Rest, method: ByEnergy) -> Case:

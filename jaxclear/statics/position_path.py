@@ -73,8 +73,7 @@ def sought(mechanism: Mechanism, drives: tuple[str, ...], position: np.ndarray) 
     """Where a mechanism stands at each position of its drives, and by which method.
 
     By its loops where they determine it, with every journal where its own reaction presses it;
-    otherwise
-    by its energy.
+    otherwise by its energy.
 
     Args:
         mechanism: under its loads.

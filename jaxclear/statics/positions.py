@@ -24,10 +24,10 @@ from jaxclear.ground.printing import AbstractShown
 from jaxclear.ground.wording import listed
 from jaxclear.multibody.kinematics import relative_motion
 from jaxclear.multibody.start_constraints import source
-from jaxclear.results.histories import AbstractHistory, MarkerHistory, marker, measured
-from jaxclear.results.state_history import check_single, one_of, single
-from jaxclear.statics.equilibrium import Carried, Resting, case_of, resting
-from jaxclear.statics.quasi_static import Posed, standing
+from jaxclear.results.histories import AbstractHistory, MarkerHistory, marker, measured_field
+from jaxclear.results.state_history import check_single, single, take_one
+from jaxclear.statics.equilibrium import Carried, Resting, case_of, rest_at
+from jaxclear.statics.quasi_static import Posed, stand_at
 
 # Share of a free motion from which on a freedom takes part in it [1].
 LOOSE = 1e-3
@@ -42,9 +42,9 @@ class BodyPoses(AbstractHistory):
         origin: position of the origin of the body frame [m], shape (positions, 3).
     """
 
-    com: Float[Array, "positions 3"] = measured("m")
-    rotation: Float[Array, "positions 3 3"] = measured("1")
-    origin: Float[Array, "positions 3"] = measured("m")
+    com: Float[Array, "positions 3"] = measured_field("m")
+    rotation: Float[Array, "positions 3 3"] = measured_field("1")
+    origin: Float[Array, "positions 3"] = measured_field("m")
 
 
 class Positions(AbstractShown):
@@ -91,7 +91,7 @@ class Positions(AbstractShown):
             ValueError: if this is no batch.
             IndexError: if the batch has fewer.
         """
-        return one_of(self, self.is_solved, index)
+        return take_one(self, self.is_solved, index)
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -190,9 +190,9 @@ class Positions(AbstractShown):
         """Coordinates of a joint or body over the positions.
 
         Args:
-            name: name of a connection of the tree, a joint that is held, or a body that only joints
-                with clearance connect; of any joint where the mechanism rests at least potential
-                energy.
+            name: name of a connection of the tree, a joint or motor that is held, or a body that
+                only joints with clearance connect; of any joint where the mechanism rests at least
+                potential energy.
 
         Returns:
             Coordinate [rad, m], shape (positions,); (positions, coordinates) where there are
@@ -204,7 +204,7 @@ class Positions(AbstractShown):
         check_single(self.is_solved)
         scene = self.scene
         branches = {branch.name: branch for branch in scene.mechanism.topology.branches}
-        names = [*scene.mechanism.connections, *branches]
+        names = [*scene.mechanism.connections, *branches, *scene.drives]
         check_name("joint or floating body", name, dict.fromkeys(names), " in this mechanism")
         if name in scene.drives:
             return self.position[:, scene.drives.index(name)]
@@ -312,15 +312,15 @@ class Positions(AbstractShown):
             def rests(position, q, closing, pushes, angles):
                 scene = self.scene.at(position)
                 case = case_of(scene, carried.side, angles, carried.rounded)
-                return one(resting(case, q, closing, pushes))
+                return one(rest_at(case, q, closing, pushes))
 
             unknowns = carried.closing, carried.pushes, carried.angles
             return jax.vmap(rests)(self.position, self.coordinates, *unknowns)
 
         def row(position, q, seats):
             scene = self.scene.at(position)
-            numbers = {name: opened(seats[name], moving) for name, moving in self.moving.items()}
-            return one(standing(scene, [*q], numbers, self.side))
+            numbers = {name: open_seat(seats[name], moving) for name, moving in self.moving.items()}
+            return one(stand_at(scene, [*q], numbers, self.side))
 
         return jax.vmap(row)(self.position, self.coordinates, self.seats)
 
@@ -332,7 +332,7 @@ def _read(mechanism: Any, now: Resting, name: str) -> tuple:
     return where.joint.coordinates_at(relative_motion(where.closure, now.motions)[1])
 
 
-def opened(seat: Array, moving: tuple[int, ...]) -> tuple:
+def open_seat(seat: Array, moving: tuple[int, ...]) -> tuple:
     """The five numbers of a seat, those that are zero by construction as such."""
     return tuple(seat[k] if k in moving else 0 for k in range(len(seat)))
 

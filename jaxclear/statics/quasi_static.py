@@ -40,7 +40,7 @@ from jaxclear.multibody.dynamics import Solution
 from jaxclear.multibody.forces import Forces, applied_forces
 from jaxclear.multibody.joint_replacement import at_rest_under
 from jaxclear.multibody.mechanism import Mechanism, rebuilt
-from jaxclear.multibody.newton import shortened
+from jaxclear.multibody.newton import shorten_step
 from jaxclear.multibody.rows import wrench_in_joint
 from jaxclear.multibody.start_constraints import speed_scales
 from jaxclear.multibody.start_equations import retract
@@ -272,7 +272,7 @@ def shift(seat: tuple) -> Pose:
     return Pose(((1, 0, 0), (0, size, sine), (0, -sine, size)), seat[:3])
 
 
-def standing(scene: Posed, q: Any, seats: dict[str, tuple], side: float = 1.0) -> Standing:
+def stand_at(scene: Posed, q: Any, seats: dict[str, tuple], side: float = 1.0) -> Standing:
     """Reactions of a mechanism at rest and the seats to which they press the journals.
 
     Args:
@@ -489,7 +489,7 @@ class ByLoops(eqx.Module):
             position: of the drives, shape (positions, drives).
             starts: with a first axis of positions.
         """
-        one = lambda place, start: settle(scene.at(place), start, self)
+        one = lambda place, start: find_spot(scene.at(place), start, self)
         return jax.vmap(one)(position, starts)
 
     def read(self, scene: Posed, position: Array, spots: Spot) -> Read:
@@ -551,7 +551,7 @@ def moved_by(scene: Posed, method: ByLoops) -> ByLoops:
     moves: dict[str, tuple[int, ...]] = {}
 
     def seats_at(q, seats):
-        now = standing(scene, q, method.opened(seats)).seats
+        now = stand_at(scene, q, method.opened(seats)).seats
         moves.update({n: tuple(k for k in range(SEAT) if not sp.is_zero(now[n][k])) for n in now})
         return q
 
@@ -568,7 +568,7 @@ def next_spot(scene: Posed, spot: Spot, method: ByLoops) -> Spot:
         spot: the iterate before.
         method: which seats move, and the side of the loads.
     """
-    now = standing(scene, spot.q, method.opened(spot.seats), method.side)
+    now = stand_at(scene, spot.q, method.opened(spot.seats), method.side)
     seats, system = method.closed(now.seats), now.system
     count, arm = system.topology.speed_count, longest_arm(system)
     changes = [jnp.max(jnp.abs(seats[n] - spot.seats[n]), initial=0.0) / arm for n in seats]
@@ -578,13 +578,13 @@ def next_spot(scene: Posed, spot: Spot, method: ByLoops) -> Spot:
         rows = [[row.get(j, 0) for j in range(count)] for row in now.jacobian]
         step = sp.stack(solved(rows, [sp.neg(x) for x in residual]))
         scales = speed_scales(system, arm)
-        q = retract(system, q, shortened(step, scales, LONGEST))
+        q = retract(system, q, shorten_step(step, scales, LONGEST))
         changes.append(jnp.max(jnp.abs(step / scales)))
     branch = factorisation.orientation(rows) if count else jnp.zeros(())
     return Spot(q, seats, jnp.max(jnp.stack([*changes, jnp.zeros(())])), branch)
 
 
-def settle(scene: Posed, start: Spot, method: ByLoops) -> Spot:
+def find_spot(scene: Posed, start: Spot, method: ByLoops) -> Spot:
     """The fixed point of `next_spot`; pure, with implicit derivatives by the scene's numbers.
 
     Args:
@@ -610,7 +610,7 @@ def settle(scene: Posed, start: Spot, method: ByLoops) -> Spot:
     return solution(arrays, start)
 
 
-_settled = eqx.filter_jit(settle)
+_settled = eqx.filter_jit(find_spot)
 
 
 def _implicit_tangent(arrays: Any, moved: Any, rest: Any, spot: Spot, method: ByLoops) -> Spot:
@@ -622,7 +622,7 @@ def _implicit_tangent(arrays: Any, moved: Any, rest: Any, spot: Spot, method: By
 
     def equations(arrays, unknowns):
         scene, seats = eqx.combine(arrays, rest), unflatten(unknowns[count:])
-        now = standing(scene, place(unknowns[:count]), method.opened(seats), method.side)
+        now = stand_at(scene, place(unknowns[:count]), method.opened(seats), method.side)
         misses = unknowns[count:] - ravel_pytree(method.closed(now.seats))[0]
         return jnp.concatenate([sp.stack(now.residual), misses])
 

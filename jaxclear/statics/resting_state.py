@@ -32,7 +32,7 @@ from jaxclear.ground.quantity import as_vector, with_quantities
 from jaxclear.ground.warning import warn
 from jaxclear.integrators import NonColliding
 from jaxclear.multibody import contact_point, kinematics
-from jaxclear.multibody.assembly import ready, ready_from
+from jaxclear.multibody.assembly import ready, ready_from_state
 from jaxclear.multibody.contact_point import laws_now
 from jaxclear.multibody.length_scales import narrowest_gap
 from jaxclear.multibody.magnitudes import UnusualMagnitude
@@ -42,11 +42,11 @@ from jaxclear.multibody.start_equations import (
     LOOP,
     START,
     Ask,
-    ask,
     motions_at,
     retract,
     speed_scales,
     stacked,
+    start_problem,
 )
 from jaxclear.multibody.state import names
 from jaxclear.multibody.system import System, prepare, readings
@@ -186,13 +186,13 @@ def _solve_rest(first: Trajectory, mechanism: Mechanism, read: dict) -> tuple:
         # Reactions that close the loops among themselves move nothing: any of them will do.
         warnings.filterwarnings("ignore", message="the reaction of joint .* is not unique")
         reactions = {n: _reaction(first, mechanism, n) for n in mechanism.topology.clearances}
-    rest = resting(mechanism, reactions, read)
+    rest = rest_under(mechanism, reactions, read)
     if rest is None:
         raise ValueError(
             "the journals of this mechanism find no rest under their reactions without friction: "
             "something that loads hold in no direction moves away. Begin with a state of a run."
         )
-    return ready_from(mechanism, rest, ready(mechanism).start.speeds, 0.0)
+    return ready_from_state(mechanism, rest, ready(mechanism).start.speeds, 0.0)
 
 
 def _reaction(first: Trajectory, mechanism: Mechanism, name: str) -> Pressed:
@@ -265,7 +265,7 @@ POINTS = 8
 CLOSING = 4
 
 
-def resting(mechanism: Mechanism, pressed: dict[str, Pressed], worn: dict) -> Array | None:
+def rest_under(mechanism: Mechanism, pressed: dict[str, Pressed], worn: dict) -> Array | None:
     """Coordinates at which journals rest under given reactions; None where they are not reached.
 
     Args:
@@ -274,7 +274,7 @@ def resting(mechanism: Mechanism, pressed: dict[str, Pressed], worn: dict) -> Ar
         worn: depth maps as gaps read them, by joint and surface.
     """
     assembled, start = ready(mechanism)[:2]
-    problem = ask(assembled, False)
+    problem = start_problem(assembled, False)
     arm = float(problem.arm)
     largest = max(float(np.linalg.norm(force.force)) for force in pressed.values())
     if largest == 0.0:
@@ -315,7 +315,7 @@ def _null_space(rows: np.ndarray) -> np.ndarray:
 def _potential_at(mechanism: Mechanism, q: Array, pressed: dict[str, Pressed], worn: dict) -> tuple:
     """Potential [J] at coordinates, its gradient and Hessian in the scaled speeds, and the rows
     (rows, v) that hold the loops there."""
-    problem = ask(mechanism, False)
+    problem = start_problem(mechanism, False)
     scales = speed_scales(problem)
     energy = lambda step: _total_potential(
         problem, retract(problem.system, q, scales * step), pressed, worn
@@ -329,7 +329,7 @@ def _potential_at(mechanism: Mechanism, q: Array, pressed: dict[str, Pressed], w
 @compiled_quickly
 def _move_closed(mechanism: Mechanism, q: Array, step: Array) -> Array:
     """Coordinates after a step in the scaled speeds, loops closed."""
-    problem = ask(mechanism, False)
+    problem = start_problem(mechanism, False)
     q = retract(problem.system, q, speed_scales(problem) * step)
     return closed(problem, q, 0.0, CLOSING, (LOOP, START))
 

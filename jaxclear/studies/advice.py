@@ -236,14 +236,14 @@ class Advice(AbstractAnswer):
             parts.append(PARTING)
         many = len(self.copies.values)
         runs = "one run" if many == 1 else f"{many} runs within the tolerances"
-        return " ".join([*parts, *self.warnings(), f"Seen on {runs}."])
+        return " ".join([*parts, *self.warnings(), f"From {runs}."])
 
     def _recommended(self) -> str:
         trial, limit = self.chosen, _percent(self.accuracy)
         text, (which, error) = as_typed(trial.integrator), trial.worst
         named = f' in "{which}"' if len(trial.errors) > 1 else ""
         keeps = f"{text} keeps {limit}:"
-        head = keeps if self.is_accurate else f"Nothing tried keeps {limit}; {text}:"
+        head = keeps if self.is_accurate else f"No integrator that was tried keeps {limit}; {text}:"
         seconds = f"{self.cost * float(self.original_problem.duration):.2g} s"
         return (
             f"{head} estimated error {_percent(error)}{named}, {trial.work} evaluations of forces "

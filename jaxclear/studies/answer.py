@@ -107,8 +107,14 @@ class AbstractAnswer(AbstractShown):
 def with_interval(
     name: str, dims: tuple[str, ...], statistics: Mapping[Any, Any], unit: str = "1"
 ) -> dict[str, Column]:
-    """Columns of statistics (`value`, `low`, `high`, `error`) by their labels: the value with its
-    error, and in the Dataset the ends of its interval."""
+    """Columns of statistics: values with errors, and in the Dataset the ends of intervals.
+
+    Args:
+        name: of the column of values.
+        dims: dimensions over which the statistics are.
+        statistics: with `value`, `low`, `high` and `error`, by label.
+        unit: of the values.
+    """
     read = lambda part: {key: float(getattr(one, part)) for key, one in statistics.items()}
     ends = {f"{name} {end}": Column(dims, read(end), unit, only=DATASET) for end in ("low", "high")}
     return {name: Column(dims, read("value"), unit, error=read("error"))} | ends
@@ -138,7 +144,13 @@ def means_and_deviations(
 
 
 def columns_of(table: Any, dim: str, before: str = "") -> dict[str, Column]:
-    """The columns of another table of an answer, for its Dataset; `before` their names."""
+    """The columns of another table of an answer, for its Dataset.
+
+    Args:
+        table: of pandas, with units as attributes.
+        dim: dimension of its rows.
+        before: prefix of the columns' names.
+    """
     units = table.attrs.get("units", {})
     counted = table.index.name is None
     return {
@@ -159,21 +171,21 @@ def table_of(stated: Stated) -> Any:
         for name, column in stated.columns.items()
         if (column.dims == dims and column.only != DATASET) or name in dims
     }
-    keys = _keys(used_columns, dims)
+    keys = _row_labels(used_columns, dims)
     columns: dict[str, Any] = {}
     if keys is not None:
-        columns |= {dim: [_part(key, i) for key in keys] for i, dim in enumerate(dims)}
+        columns |= {dim: [_label_part(key, i) for key in keys] for i, dim in enumerate(dims)}
     units, errors = {n: c.unit for n, c in used_columns.items() if n in dims and c.unit}, {}
     for name, column in used_columns.items():
         if name in dims:
             continue
         label = column.label or name
-        columns[label] = _in_rows(column.values, keys)
+        columns[label] = _values_by_row(column.values, keys)
         if column.unit and not column.label:
             units[label] = column.unit
         if column.error is not None:
             errors[label] = column.error_name or f"{name} error"
-            columns[errors[label]] = _in_rows(column.error, keys)
+            columns[errors[label]] = _values_by_row(column.error, keys)
     index: Any = None if keys is None or not stated.labelled else list(dims)
     index = index[0] if index is not None and len(index) == 1 else index
     return as_table(columns, index=index, units=units, errors=errors)
@@ -187,34 +199,34 @@ def dataset_of(stated: Stated, **attributes: Any) -> Any:
         for i, dim in enumerate(column.dims if isinstance(column.values, Mapping) else ()):
             if dim not in every:
                 existing = labels[dim].values if dim in labels else []
-                merged = dict.fromkeys([*existing, *(_part(key, i) for key in column.values)])
+                merged = dict.fromkeys([*existing, *(_label_part(key, i) for key in column.values)])
                 labels[dim] = Column((dim,), list(merged))
     columns: dict[str, datasets.Column] = {}
     for name, column in every.items():
         if name not in labels:
-            columns[datasets.spelt(name)] = _variable(column, column.values, labels)
+            columns[datasets.spelt(name)] = _column_array(column, column.values, labels)
         if column.error is not None:
             called = datasets.spelt(column.error_name or f"{name} error")
-            columns[called] = _variable(column, column.error, labels)
-    coordinates = {dim: _variable(label, label.values, labels) for dim, label in labels.items()}
+            columns[called] = _column_array(column, column.error, labels)
+    coordinates = {dim: _column_array(label, label.values, labels) for dim, label in labels.items()}
     parts = None if stated.problem is None else in_texts(stated.problem)
     return datasets.dataset(columns, coordinates, what=stated.what, problem=parts, **attributes)
 
 
-def _variable(column: Column, values: Any, labels: Mapping[str, Column]) -> datasets.Column:
+def _column_array(column: Column, values: Any, labels: Mapping[str, Column]) -> datasets.Column:
     """A column as an array over its dimensions; nan, or "", where a mapping has no value."""
     if isinstance(values, Mapping):
         shape = [len(labels[dim].values) for dim in column.dims]
         keys = list(itertools.product(*(labels[dim].values for dim in column.dims)))
-        values = np.array(_in_rows(values, keys)).reshape(shape)
+        values = np.array(_values_by_row(values, keys)).reshape(shape)
     return datasets.Column(column.dims, values, column.unit, column.meaning, column.kind)
 
 
-def _part(key: Any, place: int) -> Any:
+def _label_part(key: Any, place: int) -> Any:
     return key[place] if isinstance(key, tuple) else key
 
 
-def _keys(columns: Mapping[str, Column], dims: tuple[str, ...]) -> list[Any] | None:
+def _row_labels(columns: Mapping[str, Column], dims: tuple[str, ...]) -> list[Any] | None:
     """The labels of the rows of a table, in their order; None where rows are only counted."""
     if all(dim in columns for dim in dims):
         return list(itertools.product(*(columns[dim].values for dim in dims)))
@@ -222,7 +234,7 @@ def _keys(columns: Mapping[str, Column], dims: tuple[str, ...]) -> list[Any] | N
     return list(dict.fromkeys(key for mapping in mappings for key in mapping)) or None
 
 
-def _in_rows(values: Any, keys: Sequence[Any] | None) -> Any:
+def _values_by_row(values: Any, keys: Sequence[Any] | None) -> Any:
     """Values of a column, row by row."""
     if not isinstance(values, Mapping):
         return values if isinstance(values, list) else np.asarray(values).ravel()

@@ -30,9 +30,19 @@ Goal = float | tuple[tuple[str, float], ...]
 def chosen_integrator(
     mechanism: Mechanism, response: Mapping[str, Callable], duration: Any, target: Goal, how: How
 ) -> Chosen:
-    """The integrator by which every response of a mechanism is as accurate as is `target`, a share
-    of its size in the nominal sample or numbers in units by name, at the least work. Raises
-    `ValueError` with a sentence for what cannot be chosen."""
+    """The integrator with which every response is as accurate as required, at the least work.
+
+    Args:
+        mechanism: the nominal one.
+        response: functions of a run, by name.
+        duration: of a run [s].
+        target: a share of each response's size in the nominal sample [1], or numbers in units
+            by name.
+        how: settings of the run.
+
+    Raises:
+        ValueError: no integrator suits the mechanism.
+    """
     all_of = lambda run: {name: answer(name, function, run) for name, function in response.items()}
     drawn = compiled_quickly(all_of, AROUND_A_KERNEL)
 
@@ -53,8 +63,16 @@ def chosen_integrator(
 def unasked(
     mechanism: Mechanism, response: Mapping[str, Callable], duration: Any, how: How
 ) -> tuple[AbstractIntegrator, str, Goal | None]:
-    """The integrator of a study that asks for none, why, and the accuracy for which it was chosen
-    (None: it was not)."""
+    """The integrator of a study without a request, why, and the accuracy for which it was chosen.
+
+    The last is None where it was not chosen by runs.
+
+    Args:
+        mechanism: the nominal one.
+        response: functions of a run, by name.
+        duration: of a run [s].
+        how: settings of the run.
+    """
     usual, why = usual_integrator(mechanism, duration)
     step = on_host(usual.requested_step())
     if not why or step is None or duration <= DEAR * step:

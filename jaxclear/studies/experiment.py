@@ -314,8 +314,18 @@ class AbstractExperiment(AbstractQuantified):
 
 
 def one_distribution(owner: str, distribution: Any, tolerance: Any) -> Any:
-    """The distribution given, or that of a tolerance t (a number above 0): normal with three
-    standard deviations in t, cut off at +-t. Raises `ValueError` for both or neither."""
+    """The given distribution, or that of a tolerance t: normal with 3 standard deviations in t.
+
+    The normal one is cut off at +-t.
+
+    Args:
+        owner: class in the message.
+        distribution: of the deviation; None: by tolerance.
+        tolerance: t, in the unit of the number, > 0; None: by distribution.
+
+    Raises:
+        ValueError: both or neither is given.
+    """
     if distribution is not None and tolerance is None:
         return distribution
     if tolerance is not None and distribution is None:
@@ -340,9 +350,15 @@ def _mapped(function: Callable[[Any], Any], setting: Any, values: Any) -> Any:
 def sample_of_chunk(
     function: Callable[[Setting], Any], setting: Setting, index: int, chunk: int
 ) -> Any:
-    """What a function of one setting, a method of an experiment, gives for sample `index` of a
-    study in chunks of this size, bit for bit as it was there: in the same lane of the same kernel,
-    between copies of itself.
+    """What a function gives for one sample of a study in chunks, bit for bit as it was there.
+
+    The sample is computed in the same lane of the same kernel, between copies of itself.
+
+    Args:
+        function: of a setting, a method of an experiment.
+        setting: values of the sample.
+        index: of the sample in the study.
+        chunk: samples of a chunk.
     """
     with stoppable():
         results = _mapped(function, setting, jnp.tile(setting.values, (chunk, 1)))

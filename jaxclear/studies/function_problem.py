@@ -125,15 +125,15 @@ class FunctionExperiment(AbstractExperiment):
     def __init__(self, function: Callable[..., Any], variables: dict[str, Dimension], units: Any):
         self.function = function
         at = {name: variable.nominal_in(None) for name, variable in variables.items()}
-        shapes = _traced(function, at)
+        shapes = _trace_function(function, at)
         self.response_names = tuple(name for name, shape in shapes.items() if not shape.shape)
         self.series_names = tuple(name for name, shape in shapes.items() if shape.shape)
         every = (*self.response_names, *self.series_names)
         check_names_differ(every, variables)
         of_variables = tuple(variable.unit for variable in variables.values())
         self.response_units = _units(units, every, of_variables)
-        self.memory = _memory(function, at)
-        self.undifferentiated = _undifferentiated(function, at)
+        self.memory = _memory_of(function, at)
+        self.undifferentiated = _why_no_derivative(function, at)
 
     def evaluate(self, setting, *, discrete_derivatives=False):
         answers = self.answers(setting)
@@ -150,7 +150,13 @@ class FunctionExperiment(AbstractExperiment):
         return Cost(self.memory, LARGEST_CHUNK, cheap=True)
 
     def detail(self, setting, index, chunk) -> dict[str, Array]:
-        """What the function gives for one sample, numbers and series by name."""
+        """Numbers and series of one sample, by name.
+
+        Args:
+            setting: values of the sample.
+            index: of the sample in its study.
+            chunk: samples of a chunk of the study.
+        """
         return sample_of_chunk(self.answers, setting, index, chunk)
 
     def describe(self):
@@ -245,7 +251,7 @@ def _is_series(value: Any) -> bool:
     return bool(row and jnp.isrealobj(value))
 
 
-def _traced(function: Callable[..., Any], at: dict[str, Any]) -> dict[str, Any]:
+def _trace_function(function: Callable[..., Any], at: dict[str, Any]) -> dict[str, Any]:
     """The shapes of what a function returns, in its order; a sentence where JAX cannot trace it."""
     order: list[str] = []
 
@@ -271,14 +277,14 @@ def _units(units: Any, responses: tuple[str, ...], variables: tuple[str, ...]) -
     return tuple(units.get(name, "1") for name in responses)
 
 
-def _memory(function: Callable[..., Any], at: dict[str, Any]) -> int:
+def _memory_of(function: Callable[..., Any], at: dict[str, Any]) -> int:
     """All numbers that a function computes on its way [bytes]."""
     lines = jax.make_jaxpr(lambda at: _by_name(function(**at)))(at).jaxpr.eqns
     sizes = (math.prod(getattr(v.aval, "shape", ())) for line in lines for v in line.outvars)
     return 8 * (len(at) + sum(sizes))
 
 
-def _undifferentiated(function: Callable[..., Any], at: dict[str, Any]) -> str:
+def _why_no_derivative(function: Callable[..., Any], at: dict[str, Any]) -> str:
     """Why JAX has no derivative of a function; "" where it has one."""
     try:
         jax.eval_shape(lambda at: jax.jvp(lambda at: _by_name(function(**at)), (at,), (at,)), at)

@@ -32,14 +32,25 @@ def has_answer(problem: Problem, responses: Mapping[str, Any]) -> np.ndarray:
 def successes(
     problem: Problem, outcome: Any, responses: Mapping[str, Any]
 ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """Whether each sample (samples,) reached its end with an answer in each of these responses; and
-    the responses, nan in samples that did not: what failed has no number at all."""
+    """Whether each sample reached its end with an answer, and the responses, nan where not.
+
+    Args:
+        problem: says of which responses infinite values are answers.
+        outcome: of the samples, shape (samples,).
+        responses: by name, shape (samples,).
+    """
     good = (np.asarray(outcome) == Outcome.REACHED) & has_answer(problem, responses)
     return good, {name: np.where(good, values, np.nan) for name, values in responses.items()}
 
 
 def why_unanswered(problem: Problem, outcome: Any, ended: Any) -> str:
-    """Why a sample has no answer: how it ended, or that a response of it is none."""
+    """Why a sample has no answer: how it ended, or that a response is not a number.
+
+    Args:
+        problem: words its endings.
+        outcome: of the sample.
+        ended: time at which it ended [s].
+    """
     if outcome == Outcome.REACHED:
         return "a response is not a number."
     return problem.description.ending(outcome, ended)
@@ -47,17 +58,23 @@ def why_unanswered(problem: Problem, outcome: Any, ended: Any) -> str:
 
 def infinite_messages(problem: Problem, responses: Mapping[str, Any]) -> list[str]:
     """A sentence for each response that is infinite in some samples."""
-    texts = {name: _words(problem, name, values) for name, values in responses.items()}
+    texts = {name: _describe_infinite(problem, name, values) for name, values in responses.items()}
     return [f'"{name}" {words}.' for name, words in texts.items() if words]
 
 
 def refuse_infinite(
     problem: Problem, responses: Mapping[str, Any], what: str, instead: str = INSTEAD
 ) -> None:
-    """Raises `ValueError` where one of the responses has infinite values (samples,), of which there
-    is no `what`."""
+    """Raises `ValueError` where a response is infinite in a sample and a statistic does not exist.
+
+    Args:
+        problem: says what infinite values mean.
+        responses: by name, shape (samples,).
+        what: the statistic.
+        instead: clause that says what would be right.
+    """
     for name, values in responses.items():
-        words = _words(problem, name, values)
+        words = _describe_infinite(problem, name, values)
         if words:
             raise ValueError(f'"{name}" {words}: there is no {what} of it; {instead}.')
 
@@ -111,13 +128,22 @@ def replace_infinite(values: np.ndarray, *limits: Any) -> np.ndarray:
 
 
 def bounded(problem: Problem, name: str, values: np.ndarray, levels: Sequence[Any]) -> np.ndarray:
-    """Values for a surface: where they are infinite, what a response is told up to, or, where that
-    has no end, beyond all others and the `levels` that limits hold them against."""
+    """Finite values for a surface, infinite ones replaced.
+
+    They become the horizon up to which a response is computed, or without one a value beyond all
+    others and the levels.
+
+    Args:
+        problem: with the response's horizon.
+        name: of the response.
+        values: shape (samples,).
+        levels: bounds of limits on the response.
+    """
     most = problem.description.responses[name].horizon
     return np.minimum(values, most) if np.isfinite(most) else replace_infinite(values, *levels)
 
 
-def _words(problem: Problem, name: str, values: Any) -> str:
+def _describe_infinite(problem: Problem, name: str, values: Any) -> str:
     """In how many samples a response is infinite, and what that says; "" for none."""
     count = int(np.isinf(np.asarray(values, float)).sum())
     why = problem.description.responses[name].infinite

@@ -66,7 +66,7 @@ class Inputs(eqx.Module):
         """Independent standard normal numbers [1] that give these values; for a discrete variable
         the middle of what gives its value."""
         deviations = (values - self.nominal) / self.widths
-        scores = self._each(deviations, "score", "scores")
+        scores = self._map_distributions(deviations, "score", "scores")
         return scores if self.inverse_root is None else scores @ self.inverse_root.T
 
     def scores(
@@ -79,9 +79,9 @@ class Inputs(eqx.Module):
         self, scores: Float[Array | np.ndarray, "... variables"]
     ) -> Float[Array, "... variables"]:
         """Values of the variables from their own scores [1]."""
-        return self.nominal + self.widths * self._each(scores, "of_score", "of_scores")
+        return self.nominal + self.widths * self._map_distributions(scores, "of_score", "of_scores")
 
-    def _each(self, numbers: Any, alone: str, together: str) -> Any:
+    def _map_distributions(self, numbers: Any, alone: str, together: str) -> Any:
         """What methods of these names make of numbers (..., variables): one of the distribution of
         a single number, one of that of several."""
         parts: dict[int, Any] = {}
@@ -104,8 +104,14 @@ def joint(
     nominal: Any,
     correlation: Float[Array, "variables variables"] | None = None,
 ) -> Inputs:
-    """The joint distribution of numbers with these names and nominal values; each of the
-    distributions is that of one of them, or of several in a row."""
+    """The joint distribution of numbers.
+
+    Args:
+        names: of the numbers.
+        distributions: each of one number, or of several in a row.
+        nominal: values, shape (variables,).
+        correlation: of the scores; None: independent.
+    """
     alone, joints = list[AbstractDistribution](), list[Any]()
     for law in distributions:
         several = isinstance(law, AbstractJointDistribution)
@@ -146,7 +152,7 @@ def correlation_matrix(
             i, j = (list(names).index(name) for name in pair)
             matrix[i, j] = matrix[j, i] = float(value)
     else:
-        matrix = _square(correlation, count)
+        matrix = _check_correlation(correlation, count)
     if np.linalg.eigvalsh(matrix)[0] < LEAST_EIGENVALUE:
         raise ValueError(
             "correlation of a Problem is one that no numbers can have: its matrix is not positive "
@@ -155,7 +161,7 @@ def correlation_matrix(
     return None if np.array_equal(matrix, np.eye(count)) else jnp.asarray(matrix)
 
 
-def _square(values: Any, count: int) -> np.ndarray:
+def _check_correlation(values: Any, count: int) -> np.ndarray:
     """A matrix as given, if it is one of correlations."""
     try:
         matrix = np.asarray(values, float)

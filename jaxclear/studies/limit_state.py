@@ -137,16 +137,16 @@ class Series(AbstractLimitState):
     parts: tuple[AbstractLimitState, ...]
 
     def __init__(self, *parts: AbstractLimitState):
-        self.parts = _checked("Series", parts)
+        self.parts = _check_parts("Series", parts)
 
     def limits(self):
-        return _limits(self.parts)
+        return _all_limits(self.parts)
 
     def cut_sets(self):
-        return _least([cut for cuts in _numbered(self.parts) for cut in cuts])
+        return _minimal_cuts([cut for cuts in _renumber_cuts(self.parts) for cut in cuts])
 
     def words(self):
-        return " or ".join(_in_brackets(part) for part in self.parts)
+        return " or ".join(_words_in_brackets(part) for part in self.parts)
 
 
 class Parallel(AbstractLimitState):
@@ -162,15 +162,15 @@ class Parallel(AbstractLimitState):
     parts: tuple[AbstractLimitState, ...]
 
     def __init__(self, *parts: AbstractLimitState):
-        self.parts = _checked("Parallel", parts)
+        self.parts = _check_parts("Parallel", parts)
 
     def limits(self):
-        return _limits(self.parts)
+        return _all_limits(self.parts)
 
     def cut_sets(self):
         cuts: list[frozenset[int]] = [frozenset()]
-        for part_cuts in _numbered(self.parts):
-            cuts = list(_least([one | cut for one in cuts for cut in part_cuts]))
+        for part_cuts in _renumber_cuts(self.parts):
+            cuts = list(_minimal_cuts([one | cut for one in cuts for cut in part_cuts]))
             if len(cuts) > MOST_CUTS:
                 raise ValueError(
                     f"this system fails in more than {MOST_CUTS} ways; put fewer parts together."
@@ -178,7 +178,7 @@ class Parallel(AbstractLimitState):
         return tuple(cuts)
 
     def words(self):
-        return " and ".join(_in_brackets(part) for part in self.parts)
+        return " and ".join(_words_in_brackets(part) for part in self.parts)
 
 
 def system_margin(margins: np.ndarray, cuts: tuple[frozenset[int], ...]) -> np.ndarray:
@@ -187,7 +187,13 @@ def system_margin(margins: np.ndarray, cuts: tuple[frozenset[int], ...]) -> np.n
 
 
 def check_limit(limit: Any, response_names: tuple[str, ...], owner: str) -> None:
-    """Raises `ValueError` for what is no limit, or for one on a response that there is not."""
+    """Raises `ValueError` for what is no limit state, or one on an unknown response.
+
+    Args:
+        limit: to be checked.
+        response_names: of the problem.
+        owner: function in the message.
+    """
     expect(
         limit,
         AbstractLimitState,
@@ -199,7 +205,7 @@ def check_limit(limit: Any, response_names: tuple[str, ...], owner: str) -> None
             raise ValueError(unknown("response", part.response, response_names, " in this problem"))
 
 
-def _checked(kind: str, parts: tuple[Any, ...]) -> tuple[Any, ...]:
+def _check_parts(kind: str, parts: tuple[Any, ...]) -> tuple[Any, ...]:
     if not parts:
         raise ValueError(f"{kind} has no parts; give it limits, such as Above(...), one or more.")
     for part in parts:
@@ -211,11 +217,11 @@ def _checked(kind: str, parts: tuple[Any, ...]) -> tuple[Any, ...]:
     return parts
 
 
-def _limits(parts: tuple[Any, ...]) -> tuple[Any, ...]:
+def _all_limits(parts: tuple[Any, ...]) -> tuple[Any, ...]:
     return tuple(limit for part in parts for limit in part.limits())
 
 
-def _numbered(parts: tuple[Any, ...]) -> list[tuple[frozenset[int], ...]]:
+def _renumber_cuts(parts: tuple[Any, ...]) -> list[tuple[frozenset[int], ...]]:
     """The cut sets of each part, in the places that its limits have among those of all."""
     numbered, first = [], 0
     for part in parts:
@@ -224,11 +230,11 @@ def _numbered(parts: tuple[Any, ...]) -> list[tuple[frozenset[int], ...]]:
     return numbered
 
 
-def _least(cuts: list[frozenset[int]]) -> tuple[frozenset[int], ...]:
+def _minimal_cuts(cuts: list[frozenset[int]]) -> tuple[frozenset[int], ...]:
     """The cut sets that hold no other one."""
     single = list(dict.fromkeys(cuts))
     return tuple(cut for cut in single if not any(other < cut for other in single))
 
 
-def _in_brackets(part: Any) -> str:
+def _words_in_brackets(part: Any) -> str:
     return part.words() if len(part.limits()) == 1 else f"({part.words()})"

@@ -212,14 +212,19 @@ class MonteCarlo(AbstractAnswer):
     def statistic(self, function: Callable[[np.ndarray], float], response: str) -> Statistic:
         """Any smooth function of a sample (samples,), such as `scipy.stats.skew`, with its error.
         Raises `ValueError` where the response has infinite values, as lives may."""
-        return self._jackknifed(function, response)
+        return self._jackknifed(function, response, None, False)
 
     def _jackknifed(
-        self, function: Callable[..., float], response: str, grouped: bool = False
+        self,
+        function: Callable[..., float],
+        response: str,
+        contributions: Callable[[np.ndarray], np.ndarray] | None,
+        grouped: bool = True,
     ) -> Statistic:
         values, group = self.good(response)
         refuse_infinite(self.problem, {response: values}, "mean or deviation")
-        return jackknifed(function, values, group, function is not np.mean, grouped)
+        of_samples = contributions(values) if contributions and len(values) else None
+        return jackknifed(function, values, group, of_samples, grouped)
 
     def mean(self, response: str) -> Statistic:
         """Mean of a response."""
@@ -227,7 +232,8 @@ class MonteCarlo(AbstractAnswer):
 
     def standard_deviation(self, response: str) -> Statistic:
         """Standard deviation of a response."""
-        return self._jackknifed(deviation, response, grouped=True).in_unit(self._unit(response))
+        squares = lambda values: (values - values.mean()) ** 2
+        return self._jackknifed(deviation, response, squares).in_unit(self._unit(response))
 
     def _unit(self, response: str) -> str:
         return self.problem.units()[response]
@@ -250,7 +256,7 @@ class MonteCarlo(AbstractAnswer):
         """Cpk [1] between limits (low, high), None for no limit: distance of the mean from the
         nearer one, in three standard deviations."""
         check_limits({response: limits}, self.responses)
-        return self._jackknifed(capability(*limits), response, grouped=True)
+        return self._jackknifed(capability(*limits), response, None)
 
     def tolerance_interval(
         self,
@@ -261,13 +267,22 @@ class MonteCarlo(AbstractAnswer):
         side: str = "both",
         normal: bool = False,
     ) -> ToleranceInterval:
-        """Limits within which at least a share `content` [1] of all parts lies, with a `confidence`
-        [1]. `side`: "both", "lower" (all parts above a limit), "upper". `normal`: of a normal
-        response, mean and a factor of the standard deviation; otherwise between two samples,
-        whatever the distribution.
+        """Limits within which at least a share of all parts lies, with a confidence.
 
         The confidence is that of as many independent samples; quasi-random ones deserve more.
-        Raises `ValueError` where the samples are too few, with how many are needed.
+
+        Args:
+            response: name of the response.
+            content: share of all parts within the limits [1], > 0 and < 1; 0.99 by default.
+            confidence: probability that it is at least that share [1], > 0 and < 1; 0.95 by
+                default.
+            side: "both", "lower" (all parts above a limit) or "upper", a text.
+            normal: whether the response is normal, so that limits are its mean and a factor of
+                its standard
+                deviation; otherwise they are two samples, whatever the distribution.
+
+        Raises:
+            ValueError: the samples are too few, with how many are needed.
         """
         check_number("content of tolerance_interval", content, above=0, below=1)
         check_number("confidence of tolerance_interval", confidence, above=0, below=1)

@@ -78,22 +78,22 @@ class PositionExperiment(AbstractExperiment):
             starts: Any = self.starts
             others = self.method.reversed.each(self.scene, self.position, starts)
             self.others = others if bool(jnp.all(jnp.isfinite(others.change))) else None
-        check_answers(response, lambda: self._at(mechanism))
+        check_answers(response, lambda: self._positions_of(mechanism))
 
     @property
     def subject(self):
         return self.mechanism
 
-    def _at(self, mechanism: Mechanism) -> Positions:
+    def _positions_of(self, mechanism: Mechanism) -> Positions:
         scene = self.scene.of(mechanism)
         return both(scene, self.position, self.starts, self.method, self.reverse_loads, self.others)
 
-    def _positions(self, setting: Setting) -> Positions:
+    def _positions_of_setting(self, setting: Setting) -> Positions:
         """The mechanism of one setting at all positions; pure."""
-        return self._at(setting(self.mechanism))
+        return self._positions_of(setting(self.mechanism))
 
     def evaluate(self, setting, *, discrete_derivatives=False):
-        positions = self._positions(setting)
+        positions = self._positions_of_setting(setting)
         ok = jnp.all(positions.is_solved)
         if positions.other is not None:
             ok &= jnp.all(positions.other.is_solved)
@@ -106,8 +106,14 @@ class PositionExperiment(AbstractExperiment):
         return Cost(8 * NUMBERS * len(self.position), LARGEST_CHUNK, cheap=True)
 
     def detail(self, setting, index, chunk) -> Positions:
-        """The mechanism of one sample at all positions."""
-        return sample_of_chunk(self._positions, setting, index, chunk)
+        """The mechanism of one sample at all positions.
+
+        Args:
+            setting: values of the sample.
+            index: of the sample in its study.
+            chunk: samples of a chunk of the study.
+        """
+        return sample_of_chunk(self._positions_of_setting, setting, index, chunk)
 
     def describe(self):
         many = len(self.position)

@@ -94,7 +94,7 @@ class Problem(AbstractQuantified):
         named, varied = checked_question(mechanism, response, variables, "Problem", "a trajectory")
         correlation = correlation_matrix(correlation, tuple(varied))
         run = RunExperiment(mechanism, named, duration, integrator, accuracy, save, state)
-        for name, value in _fields(run, varied, correlation).items():
+        for name, value in _make_fields(run, varied, correlation).items():
             setattr(self, name, value)
 
     @staticmethod
@@ -118,7 +118,7 @@ class Problem(AbstractQuantified):
         for name, variable in varied.items():
             expect(variable, AbstractVariable, f'variable "{name}"', "an AbstractVariable")
         matrix = correlation_matrix(correlation, tuple(varied))
-        return _made(_fields(experiment, varied, matrix))
+        return _make_problem(_make_fields(experiment, varied, matrix))
 
     def __hash__(self) -> int:
         # By identity, not by its arrays: `jax.jit(problem.evaluate)` looks up its programs by it.
@@ -255,7 +255,7 @@ class Problem(AbstractQuantified):
             experiment: an `AbstractExperiment` of the same subject.
         """
         fields = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
-        return _made(fields | {"experiment": experiment})
+        return _make_problem(fields | {"experiment": experiment})
 
     def with_integrator(self, integrator: AbstractIntegrator) -> "Problem":
         """The same question of runs by another integrator.
@@ -293,7 +293,7 @@ class Problem(AbstractQuantified):
 _DESCRIPTIONS: dict[int, Description] = {}
 
 
-def _fields(
+def _make_fields(
     experiment: AbstractExperiment, variables: dict[str, Any], correlation: Any
 ) -> dict[str, Any]:
     """The fields of a problem by name. Raises `ValueError` where two numbers have one name, or one
@@ -311,14 +311,14 @@ def _fields(
     return {
         "experiment": experiment,
         "variables": variables,
-        "correlation": _of_numbers(correlation, columns),
+        "correlation": _expand_correlation(correlation, columns),
         "names": names,
         "variable_names": tuple(variables),
         "variable_units": tuple(unit for unit, v in each for _ in v),
     }
 
 
-def _of_numbers(correlation: Any, columns: dict[str, list[str]]) -> Any:
+def _expand_correlation(correlation: Any, columns: dict[str, list[str]]) -> Any:
     """The correlation of all numbers from that of the variables."""
     counts = [len(column) for column in columns.values()]
     if correlation is None or sum(counts) == len(counts):
@@ -335,7 +335,7 @@ def _of_numbers(correlation: Any, columns: dict[str, list[str]]) -> Any:
     return jnp.asarray(matrix)
 
 
-def _made(fields: dict[str, Any]) -> Problem:
+def _make_problem(fields: dict[str, Any]) -> Problem:
     """A problem of checked fields."""
     problem = object.__new__(Problem)
     for name, value in fields.items():

@@ -74,8 +74,8 @@ class Replicas(eqx.Module):
     def accuracy_warnings(self, problem: Problem, *responses: str) -> tuple[str, ...]:
         """A sentence for each of these responses whose mean is off by more than is promised, and
         one for replicas that failed."""
-        doubts = [_beyond(problem, self, name) for name in responses]
-        return tuple(filter(None, [*doubts, _failures(problem, self)]))
+        doubts = [_bias_sentence(problem, self, name) for name in responses]
+        return tuple(filter(None, [*doubts, _failure_sentence(problem, self)]))
 
 
 def replicas_of(
@@ -85,8 +85,15 @@ def replicas_of(
     chunk: int,
     progress_bar: bool = False,
 ) -> Replicas | None:
-    """Replicas of the first samples of a study in chunks of this size, whose values (samples,
-    variables) gave `result`; None where the problem has none."""
+    """Replicas of the first samples of a study; None where the problem cannot be refined.
+
+    Args:
+        problem: of the study.
+        values: of the variables, shape (samples, variables).
+        result: of these samples.
+        chunk: samples of a chunk.
+        progress_bar: whether one is shown.
+    """
     count = min(MOST_REPLICAS, len(values))
     finer = finer_runs(problem, values[:count], chunk, progress_bar)
     if finer is None:
@@ -97,8 +104,16 @@ def replicas_of(
 def finer_runs(
     problem: Problem, values: np.ndarray, chunk: int, progress_bar: bool = False
 ) -> SampleResult | None:
-    """What samples of these values (samples, variables) of a study in chunks of this size give in
-    finer runs: by the study's own program, where that serves. None where the problem has none."""
+    """Results of samples in finer runs; None where the problem cannot be refined.
+
+    They are run by the study's own program where shapes allow.
+
+    Args:
+        problem: of the study.
+        values: of the variables, shape (samples, variables).
+        chunk: samples of a chunk of the study.
+        progress_bar: whether one is shown.
+    """
     replica = problem.refine()
     if replica is None:
         return None
@@ -118,7 +133,14 @@ def finer_runs(
 def together_with(
     names: Sequence[str], result: SampleResult, finer: SampleResult, count: int
 ) -> Replicas:
-    """The replicas of the first samples, of the responses that these and their finer runs gave."""
+    """The replicas of the first samples.
+
+    Args:
+        names: of the responses.
+        result: of the study.
+        finer: of the finer runs.
+        count: number of samples that have finer runs.
+    """
     base, other = (
         {name: reached[name][:count] for name in names}
         for reached in (result.reached_responses(), finer.reached_responses())
@@ -129,8 +151,16 @@ def together_with(
 def numerical_error(
     study: Any, response: str, statistic: Callable[[np.ndarray], float]
 ) -> NumericalError:
-    """What the replicas of a study (`MonteCarlo`) tell of a statistic. Raises `ValueError` where it
-    has none."""
+    """Error of a statistic by the discretisation of its runs.
+
+    Args:
+        study: a `MonteCarlo` with replicas.
+        response: its name.
+        statistic: function of values (samples,).
+
+    Raises:
+        ValueError: the study has no replicas.
+    """
     if study.replicas is None:
         raise ValueError(
             "this study has no replicas, which tell numerical errors: it was asked not to verify, "
@@ -149,7 +179,7 @@ def unverified(problem: Problem, replicas: Replicas | None) -> str:
     return "Not verified: there are no companion runs, so the error by the steps is not known."
 
 
-def _beyond(problem: Problem, replicas: Replicas, response: str) -> str:
+def _bias_sentence(problem: Problem, replicas: Replicas, response: str) -> str:
     bias, uncertainty = replicas.bias(response)
     values, _ = replicas.pairs(response)
     size = float(np.sqrt(np.mean(values**2))) if len(values) else np.nan
@@ -164,7 +194,7 @@ def _beyond(problem: Problem, replicas: Replicas, response: str) -> str:
     )
 
 
-def _failures(problem: Problem, replicas: Replicas) -> str:
+def _failure_sentence(problem: Problem, replicas: Replicas) -> str:
     failed = replicas.failed
     if not len(failed):
         return ""

@@ -26,8 +26,17 @@ def answers(response: dict[str, Callable], subject: Any) -> dict[str, Array]:
 def checked_question(
     mechanism: Mechanism, response: Any, variables: Any, owner: str, of: str
 ) -> tuple[dict[str, Callable], dict[str, Any]]:
-    """Responses, which are functions `of` something, and variables of a mechanism by name. Raises
-    `ValueError` with a sentence for what cannot be asked."""
+    """Responses and variables of a mechanism, by name.
+
+    Args:
+        mechanism: to be varied.
+        response, variables: by name, as given.
+        owner: class in messages.
+        of: what responses are functions of, in messages.
+
+    Raises:
+        ValueError: something is not what it must be.
+    """
     expect(mechanism, Mechanism, f"the mechanism of a {owner}", "a jaxclear.Mechanism")
     responses, varied = by_name("response", response), by_name("variables", variables)
     check_responses(responses, varied, of)
@@ -67,8 +76,16 @@ def by_name(what: str, mapping: Any) -> dict[str, Any]:
 
 
 def answer(name: str, response: Callable, run: Any) -> Array:
-    """A response of a run (of positions, a life) as one number. Raises `ValueError` with a sentence
-    that names it where it fails, leaves JAX, or gives something else. A sensor's are several."""
+    """A response of a run (or of positions, a life) as one number; of a sensor a series.
+
+    Args:
+        name: in messages.
+        response: function of the run.
+        run: its argument.
+
+    Raises:
+        ValueError: it fails, leaves JAX, or gives something else.
+    """
     value = call_user(f'response "{name}"', response, run)
     if not is_one_number(value) and not isinstance(response, AbstractSignal):
         hint = " It returns nothing: is a `return` missing?" if value is None else ""
@@ -93,7 +110,13 @@ def check_answers(response: dict[str, Callable], make_subject: Callable[[], Any]
 
 
 def check_responses(response: dict[str, Any], variables: dict[str, Any], of: str) -> None:
-    """Responses are functions `of` something, and share no name with a variable."""
+    """Raises `ValueError` unless responses are functions that share no name with a variable.
+
+    Args:
+        response: by name.
+        variables: by name.
+        of: what responses are functions of, in messages.
+    """
     for name, value in response.items():
         if not callable(value) or isinstance(value, type):
             hint = f": build one, {value.__name__}(...)" if isinstance(value, type) else ""

@@ -215,7 +215,7 @@ class RunExperiment(AbstractExperiment):
         mechanism = self.model(setting)
         motion = self.state.motion
         if motion is None:
-            rough = self._beginning(mechanism)
+            rough = self._rough_start(mechanism)
             start = assemble_arrays(
                 mechanism, self.state.concentric, rough=rough, worn=self.past.worn
             )
@@ -231,7 +231,7 @@ class RunExperiment(AbstractExperiment):
         start, shares, duration = on_host((self.state.start_time, self.shares, self.duration))
         return start + shares * duration
 
-    def _beginning(self, mechanism: Mechanism) -> tuple[Array, Array] | None:
+    def _rough_start(self, mechanism: Mechanism) -> tuple[Array, Array] | None:
         """Coordinates and speeds from which the start of a sample is sought; None for its own
         guess."""
         mode = self.mode
@@ -269,7 +269,7 @@ class RunExperiment(AbstractExperiment):
 
     def cost(self):
         # Saved states and worn surfaces.
-        size, cells = _sizes(self.mechanism)
+        size, cells = _state_and_cell_counts(self.mechanism)
         states = len(self.shares) * (HISTORY_FACTOR * size)
         memory = 8 * (states + 8 * cells)
         batch = LARGEST_CHUNK.get(jax.default_backend())
@@ -324,10 +324,16 @@ class RunExperiment(AbstractExperiment):
         return "", refusal(modelled, self.integrator, discrete=True)
 
     def detail(self, setting, index, chunk) -> Trajectory:
-        """The run of one sample, bit for bit as it ran in its chunk."""
-        return diagnosed(sample_of_chunk(self._simulated, setting, index, chunk))
+        """The run of one sample, bit for bit as it ran in its chunk.
 
-    def _simulated(self, setting: Setting) -> Trajectory:
+        Args:
+            setting: values of the sample.
+            index: of the sample in its study.
+            chunk: samples of a chunk of the study.
+        """
+        return diagnosed(sample_of_chunk(self._simulate_setting, setting, index, chunk))
+
+    def _simulate_setting(self, setting: Setting) -> Trajectory:
         """The run of one setting; pure."""
         return self.started(setting)[2]
 
@@ -336,7 +342,7 @@ class RunExperiment(AbstractExperiment):
 
 
 @by_form
-def _sizes(mechanism: Mechanism) -> tuple[int, int]:
+def _state_and_cell_counts(mechanism: Mechanism) -> tuple[int, int]:
     """How many numbers a state of a mechanism has, and how many cells its surfaces that wear."""
     system = prepare(mechanism)
     maps = [surface for maps in wear_maps(system).values() for surface, _ in maps.values()]
@@ -357,7 +363,7 @@ def _answers(experiment: RunExperiment, setting: Setting, discrete: bool) -> Sam
     has_pathwise = discrete and integrator.pathwise
     modelled = integrator.formulation.modelled(experiment.mechanism)
     if not has_pathwise and is_compared(modelled, integrator):
-        evaluate = compared(_answered, _finer, _guard, _steps, order_of(modelled, integrator))
+        evaluate = compared(_answer_setting, _finer, _guard, _steps, order_of(modelled, integrator))
         return backwards(integrator)(evaluate, experiment, setting)
     started = lambda experiment, setting: experiment.started(setting, has_pathwise)
     mechanism, start, run = backwards(integrator)(started, experiment, setting)
@@ -378,7 +384,7 @@ def _taken(experiment: RunExperiment, mechanism: Any, start: Any, run: Trajector
     return SampleResult(answers(experiment.response, run), outcome, run.ended, run.invariants)
 
 
-def _answered(experiment: RunExperiment, setting: Setting) -> SampleResult:
+def _answer_setting(experiment: RunExperiment, setting: Setting) -> SampleResult:
     return _taken(experiment, *experiment.started(setting))
 
 

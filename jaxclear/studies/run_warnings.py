@@ -31,12 +31,25 @@ def any_warning(checks: Checks, runs: int) -> np.ndarray:
 
 
 def warns_about(problem: Problem, response: str, checks: Checks, runs: int) -> np.ndarray:
-    """Whether each run carries a warning that concerns a response of the problem, (runs,)."""
+    """Whether each run has a warning that concerns a response, shape (runs,).
+
+    Args:
+        problem: says what the response depends on.
+        response: its name.
+        checks: of all runs.
+        runs: their number.
+    """
     return concerning(problem, response, codes_of(checks, runs)) != 0
 
 
 def concerning(problem: Problem, response: str, codes: np.ndarray) -> np.ndarray:
-    """The codes (runs,) of the warnings that concern a response."""
+    """The parts of the runs' codes that concern a response, shape (runs,).
+
+    Args:
+        problem: says what the response depends on.
+        response: its name.
+        codes: bits of the warnings of each run, shape (runs,).
+    """
     parts = problem.description.responses[response].depends_on
     checks = [check for check in Check if check.concerns in parts]
     return codes & np.int64(sum(1 << int(check) for check in checks))
@@ -45,42 +58,64 @@ def concerning(problem: Problem, response: str, codes: np.ndarray) -> np.ndarray
 def concern(
     problem: Problem, response: str, checks: Checks, among: np.ndarray
 ) -> tuple[float, str]:
-    """Share of the runs `among` (runs,) whose warnings concern a response, and a sentence that
-    tells them; "" where there are none."""
+    """Share of runs whose warnings concern a response, and a sentence for it; "" without.
+
+    Args:
+        problem: says what the response depends on.
+        response: its name.
+        checks: of all runs.
+        among: mask or indices of the runs that count.
+    """
     codes = concerning(problem, response, codes_of(checks, len(among)))[among]
-    return _share(codes), _sentence(codes)
+    return _share_of_warned(codes), _warning_sentence(codes)
 
 
 def warned_share(problem: Problem, response: str, codes: np.ndarray) -> float:
-    """Share of runs, of their codes (runs,), whose warnings concern a response."""
-    return _share(concerning(problem, response, codes))
+    """Share of runs whose warnings concern a response [1].
+
+    Args:
+        problem: says what the response depends on.
+        response: its name.
+        codes: bits of the warnings of each run, shape (runs,).
+    """
+    return _share_of_warned(concerning(problem, response, codes))
 
 
 def sentences(
     problem: Problem, codes: np.ndarray, responses: Sequence[str] | None = None
 ) -> tuple[str, ...]:
-    """How many of a study's runs warn of what concerns its responses (all, or these), one sentence
-    for those of which the same is to be said; `codes` (runs,) of the runs that count."""
+    """Sentences on how many runs warn of what concerns responses; equal ones are joined.
+
+    Args:
+        problem: says what the responses depend on.
+        codes: bits of the warnings of each run that counts, shape (runs,).
+        responses: names; None: all.
+    """
     by_sentence: dict[str, list[str]] = {}
     names = problem.response_names
     for name in names if responses is None else [n for n in names if n in responses]:
-        sentence = _sentence(concerning(problem, name, codes))
+        sentence = _warning_sentence(concerning(problem, name, codes))
         if sentence:
             by_sentence.setdefault(sentence, []).append(name)
     return tuple(f"{listed(names)}: {sentence}" for sentence, names in by_sentence.items())
 
 
 def sentences_among(problem: Problem, checks: Checks, among: np.ndarray) -> tuple[str, ...]:
-    """The `sentences` of a study that sees all its runs at once, of which those `among` (runs,)
-    count."""
+    """`sentences` for the checks of all runs.
+
+    Args:
+        problem: says what the responses depend on.
+        checks: of all runs.
+        among: mask of the runs that count, shape (runs,).
+    """
     return sentences(problem, codes_of(checks, len(among))[among])
 
 
-def _share(codes: np.ndarray) -> float:
+def _share_of_warned(codes: np.ndarray) -> float:
     return float(np.mean(codes != 0)) if len(codes) else 0.0
 
 
-def _sentence(codes: np.ndarray) -> str:
+def _warning_sentence(codes: np.ndarray) -> str:
     kinds = by_kind(codes)
     return f"{np.sum(codes != 0)} of {len(codes)} runs warn ({in_words(kinds)})." if kinds else ""
 

@@ -40,8 +40,13 @@ def usual_scramblings(samples: int) -> int:
 
 
 def groups(samples: int, scramblings: int, first: int = 0) -> np.ndarray:
-    """The scrambling (samples - first,) that each sample from the `first` on belongs to: they take
-    turns."""
+    """Scrambling to which each sample belongs, shape (samples - first,): they take turns.
+
+    Args:
+        samples: number of samples.
+        scramblings: number of scramblings.
+        first: number of the first sample in the result.
+    """
     return np.arange(first, samples) % scramblings
 
 
@@ -52,7 +57,14 @@ def by_scrambling(rows: np.ndarray, scramblings: int) -> np.ndarray:
 
 
 def check_sampled(problem: Any, samples: Any, seed: Any, sampling: Any = "sobol") -> None:
-    """What is sampled, and how. Raises `ValueError` with a sentence."""
+    """Raises `ValueError` for what cannot be sampled, or not in this way.
+
+    Args:
+        problem: with variables and responses.
+        samples: their number.
+        seed: whole number.
+        sampling: name of the sequence.
+    """
     check_double_precision()
     expect(problem, Problem, "what is sampled", "a jaxclear.Problem")
     check_name("sampling", sampling, SAMPLINGS)
@@ -68,7 +80,16 @@ def check_sampled(problem: Any, samples: Any, seed: Any, sampling: Any = "sobol"
 
 
 def checked_scramblings(owner: str, samples: int, count: Any) -> int:
-    """The scramblings given, or the usual ones. Raises `ValueError` with a sentence."""
+    """The number of scramblings.
+
+    Args:
+        owner: function in the message.
+        samples: number of samples.
+        count: as given; None: the usual number.
+
+    Raises:
+        ValueError: it is no whole number, or above that of the samples.
+    """
     parts = usual_scramblings(samples) if count is None else count
     check_count(f"scramblings of {owner}", parts)
     if parts > samples:
@@ -84,9 +105,16 @@ def draw(
     scramblings: int = 1,
     span: tuple[int, int] | None = None,
 ) -> np.ndarray:
-    """Values (samples, variables) drawn from the variables' distributions, the scramblings taking
-    turns as `groups` counts them. `span`: only the samples from the first number up to the second,
-    the same to the last bit."""
+    """Values (samples, variables) drawn from the variables' joint distribution.
+
+    Args:
+        problem: with the variables.
+        samples: their number.
+        seed: of the scramblings.
+        sampling: name of the sequence.
+        scramblings: number of independent ones, which take turns (`groups`).
+        span: first and last sample of a part, which is the same to the last bit; None: all.
+    """
     check_sampled(problem, samples, seed, sampling)
     drawing = Drawing(problem, seed, sampling, scramblings)
     return drawing.span(*((0, samples) if span is None else span))
@@ -113,7 +141,7 @@ class Drawing:
             begin, end = -((i - first) // parts), -((i - last) // parts)
             if end > begin:
                 shares[begin * parts + i - first :: parts] = self._shares(i, begin, end)
-        return _values(self.inputs, normal_scores(shares), first)
+        return _values_of_normal(self.inputs, normal_scores(shares), first)
 
     def _shares(self, scrambling: int, first: int, last: int) -> np.ndarray:
         """Points of one scrambling, from the first number up to the last."""
@@ -126,7 +154,7 @@ class Drawing:
         return rng.random((last - first, self.count))
 
 
-def _values(inputs: Inputs, normal: np.ndarray, first: int) -> np.ndarray:
+def _values_of_normal(inputs: Inputs, normal: np.ndarray, first: int) -> np.ndarray:
     """Values of the samples from number `first` on, from independent standard normal numbers [1].
     Each is computed at the same place of the same block, whatever is drawn with it."""
     rows, count = normal.shape

@@ -16,12 +16,24 @@ DIRECTION_FILE = "stats/_sobol_direction_numbers.npz"
 
 
 def scrambled_shares(count: int, dimensions: int, rng: np.random.Generator) -> np.ndarray:
-    """Points (count, dimensions) of the unit cube: one scrambling of Sobol's sequence."""
+    """Points of the unit cube: one scrambling of Sobol's sequence.
+
+    Args:
+        count: number of points.
+        dimensions: of the cube.
+        rng: random generator of the scrambling.
+    """
     return ScrambledSequence(dimensions, rng).points(0, count)
 
 
 def scrambled_normal(count: int, dimensions: int, rng: np.random.Generator) -> np.ndarray:
-    """Standard normal numbers (count, dimensions): one scrambling."""
+    """Standard normal numbers (count, dimensions): one scrambling of Sobol's sequence.
+
+    Args:
+        count: number of points.
+        dimensions: numbers of a point.
+        rng: random generator of the scrambling.
+    """
     return normal_scores(scrambled_shares(count, dimensions, rng))
 
 
@@ -72,12 +84,16 @@ class ScrambledSequence:
 
 
 def scores_by_scrambling(sizes: np.ndarray, dimensions: int, seed: int) -> np.ndarray:
-    """Standard normal numbers (samples, dimensions): parts of these sizes, one after the other, of
-    one scrambled sequence.
+    """Standard normal numbers (samples, dimensions) in consecutive parts of one scrambled sequence.
 
     The whole is as even as one sequence, and each part is a sample by itself. Parts fill the gaps
-    of each other, so that their mean is nearer to the truth than their differences say: an error
-    that these tell is too large rather than too small.
+    of each other, so their mean is nearer to the truth than their differences indicate: an error
+    from these is too large rather than too small.
+
+    Args:
+        sizes: numbers of samples of the parts.
+        dimensions: numbers of a sample.
+        seed: of the scrambling.
     """
     return scrambled_normal(int(np.sum(sizes)), dimensions, np.random.default_rng((seed, 0)))
 

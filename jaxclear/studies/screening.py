@@ -126,8 +126,9 @@ def screening(
             effects[name, variable] = change / share
             defined = effects[name, variable][np.isfinite(change)]
             group = np.arange(len(defined))
+            squares = (defined - defined.mean()) ** 2
             mu_star[name, variable] = jackknifed(np.mean, np.abs(defined), group)
-            sigma[name, variable] = jackknifed(deviation, defined, group, skewed=True, grouped=True)
+            sigma[name, variable] = jackknifed(deviation, defined, group, squares, grouped=True)
     counts = len(values), int((~good).sum())
     return Screening(
         problem, mu_star, sigma, effects, *counts, sentences_among(problem, result.checks, good)

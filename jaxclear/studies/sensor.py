@@ -112,7 +112,7 @@ class AbstractSensor(AbstractSignal):
         """
         readings = np.atleast_2d(np.asarray(signals, float))
         runs, samples = readings.shape
-        draw = lambda value: _drawn(value, runs, rng)
+        draw = lambda value: _draw_number(value, runs, rng)
         cut = None if self.bandwidth is None else draw(self.bandwidth)
         readings = _filter_each(readings, rate, cut, draw(self.delay), draw(self.gain))
         if self.sampling is not None:
@@ -125,7 +125,7 @@ class AbstractSensor(AbstractSignal):
         return self.rounded(readings)
 
 
-def _drawn(value: Any, runs: int, rng: np.random.Generator) -> np.ndarray:
+def _draw_number(value: Any, runs: int, rng: np.random.Generator) -> np.ndarray:
     """A number for each run."""
     if not isinstance(value, Dimension):
         return np.full(runs, float(value))
@@ -134,9 +134,18 @@ def _drawn(value: Any, runs: int, rng: np.random.Generator) -> np.ndarray:
 
 
 def filter_signal(signal: Array, rate: Scalar, bandwidth: Any, delay: Any, gain: Any) -> Array:
-    """What an instrument whose numbers are known makes of a signal (n,) at `rate` [Hz], without
-    noise. Its first-order low-pass (None: none) is exact for signals that are constant between
-    samples, and begins settled."""
+    """Reading of an instrument for a signal, without noise.
+
+    Its first-order low-pass is exact for signals that are constant between samples, and starts
+    settled.
+
+    Args:
+        signal: shape (n,).
+        rate: of its samples [Hz].
+        bandwidth: of the low-pass [Hz]; None: without.
+        delay: of the reading [s].
+        gain: factor of the reading [1].
+    """
     if bandwidth is not None:
         decay = jnp.exp(-2 * jnp.pi * bandwidth / rate)
 
@@ -145,10 +154,10 @@ def filter_signal(signal: Array, rate: Scalar, bandwidth: Any, delay: Any, gain:
             return after, after
 
         signal = jax.lax.scan(mixed, signal[0], signal)[1]
-    return gain * _read(signal, jnp.arange(len(signal)) - delay * rate)
+    return gain * _interpolate_signal(signal, jnp.arange(len(signal)) - delay * rate)
 
 
-def _read(signal: Array, at: Array) -> Array:
+def _interpolate_signal(signal: Array, at: Array) -> Array:
     """A signal at fractions of its samples, along straight lines between these."""
     at = jnp.clip(at, 0, len(signal) - 1)
     first = jnp.floor(at).astype(int)
@@ -159,7 +168,7 @@ def _read(signal: Array, at: Array) -> Array:
 
 
 _filter_each = jax.jit(jax.vmap(filter_signal, (0, None, 0, 0, 0)))
-_read_each = jax.jit(jax.vmap(_read))
+_read_each = jax.jit(jax.vmap(_interpolate_signal))
 
 
 class Accelerometer(AbstractSensor):
@@ -324,8 +333,13 @@ def _check_axis(sensor: Any) -> None:
 
 
 def check_sensor(name: str, sensor: Any, mechanism: Any) -> None:
-    """Raises `ValueError` with a sentence where a signal has no sensor, or one of something that
-    the mechanism has not."""
+    """Raises `ValueError` for a signal without a sensor, or one of what the mechanism lacks.
+
+    Args:
+        name: of the signal.
+        sensor: to be checked.
+        mechanism: with bodies and joints.
+    """
     expected = 'one of jaxclear.sensor, such as Accelerometer("slider", axis="x")'
     expect(sensor, AbstractSensor, f'the sensor of signal "{name}"', expected)
     if isinstance(sensor, Series):

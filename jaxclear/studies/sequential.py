@@ -23,24 +23,30 @@ def first_of(samples: int, scramblings: int) -> int:
 
 
 def until_accurate(problem: Problem, first: int, most: int, request: Goals, grown: Callable) -> str:
-    """Doubles a sample, from the first number on, until it is accurate or would be more than the
-    most; a sentence where it is not accurate, else "". `grown` is given how many samples there are
-    to be, and gives them in pieces: responses by name (samples,), and scramblings (samples,).
+    """Doubles a sample until its means are accurate; a sentence where they are not, else "".
 
-    Of a response that is infinite in some samples there is no mean, whatever their number: none are
-    added for it, and a sentence says so."""
+    A response that is infinite in some samples has no mean: no samples are added for it.
+
+    Args:
+        problem: with the responses.
+        first: number of samples to begin with.
+        most: largest number of samples.
+        request: required accuracies.
+        grown: function of a number of samples: pieces of responses by name (samples,), and
+            scramblings.
+    """
     count = first
     while True:
         endless: set[str] = set()
-        short = missed_accuracies(request, _noted(problem, grown(count), endless))
+        short = missed_accuracies(request, _note_infinite(problem, grown(count), endless))
         short = {name: value for name, value in short.items() if name not in endless}
         if not short or 2 * count > most:
-            without = [_no_mean(problem, name) for name in request[0] if name in endless]
+            without = [_why_no_mean(problem, name) for name in request[0] if name in endless]
             return " ".join(filter(None, [unreached(short), *without]))
         count *= 2
 
 
-def _noted(problem: Problem, pieces: Iterable[Piece], endless: set[str]) -> Iterator[Piece]:
+def _note_infinite(problem: Problem, pieces: Iterable[Piece], endless: set[str]) -> Iterator[Piece]:
     """The pieces of a sample; the responses that have infinite answers in them are put down."""
     for responses, group in pieces:
         infinite = (name for name, values in responses.items() if np.isinf(values).any())
@@ -48,7 +54,7 @@ def _noted(problem: Problem, pieces: Iterable[Piece], endless: set[str]) -> Iter
         yield responses, group
 
 
-def _no_mean(problem: Problem, name: str) -> str:
+def _why_no_mean(problem: Problem, name: str) -> str:
     """Why the accuracy of a mean is not reached that there is not."""
     return (
         f'The accuracy asked is not reached: "{name}" is infinite in some samples '

@@ -45,9 +45,9 @@ class Sweep(AbstractAnswer):
             if np.isfinite(values).any():
                 ends = f"{np.nanmin(values):.4g} and {np.nanmax(values):.4g} {units[name]}"
                 sentences.append(f'"{name}" lies between {ends.removesuffix(" 1")} over the grid.')
-        return " ".join([*sentences, *filter(None, [self._failed()])])
+        return " ".join([*sentences, *filter(None, [self._failed_text()])])
 
-    def _failed(self) -> str:
+    def _failed_text(self) -> str:
         """How many points failed; "" where none did."""
         if not self.reasons:
             return ""
@@ -102,7 +102,7 @@ def sweep(
     expect(problem, Problem, "what is swept", "a jaxclear.Problem")
     expect(over, Mapping, "over of sweep", "values by the names of variables")
     check_flags("sweep", progress_bar=progress_bar)
-    axes = {name: _axis(name, axis_values, problem) for name, axis_values in over.items()}
+    axes = {name: _check_axis(name, axis_values, problem) for name, axis_values in over.items()}
     if not axes:
         raise ValueError("over of sweep is empty; name a variable and the values it shall take.")
     grid = np.meshgrid(*axes.values(), indexing="ij")
@@ -123,7 +123,7 @@ def sweep(
     return Sweep(problem, axes, responses, reasons, sentences_among(problem, result.checks, good))
 
 
-def _axis(name: str, values: Any, problem: Problem) -> np.ndarray:
+def _check_axis(name: str, values: Any, problem: Problem) -> np.ndarray:
     """The values of a variable. Raises `ValueError` with a sentence."""
     check_name("variable", name, problem.names, " in this problem")
     try:

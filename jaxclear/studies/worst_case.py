@@ -316,7 +316,14 @@ class Search:
         return np.nan_to_num((ends[1] - ends[0]) / np.where(width > 0, width, 1.0))
 
     def climbed(self, name: str, sign: int, starts: list, first: float) -> Extreme:
-        """The farthest that is climbed to from starts (variables,)."""
+        """The extreme to which climbs from several starts lead.
+
+        Args:
+            name: of the response.
+            sign: 1 for the largest, -1 for the least.
+            starts: values (variables,) at which climbs begin.
+            first: extreme by first order.
+        """
         climb = self._by_gradient if self.differentiable else self._by_compass
         ends = [climb(name, sign, np.asarray(start)) for start in starts]
         ends = [(value, at) for value, at in ends if not np.isnan(value)]

@@ -3,8 +3,7 @@
 A *sentence* is a ValueError or TypeError (of a module's name an AttributeError, of the command line
 its own exit) that is raised by a line of jaxclear, names the argument or the thing, and says what
 would be right. Anything else that is raised is a *raw traceback*; what is not refused is *accepted
-nonsense*.
-"""
+nonsense*."""
 
 import contextlib
 import io

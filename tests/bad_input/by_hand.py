@@ -1,6 +1,5 @@
 """Mistakes that a newcomer makes, written by hand: with a mechanism before the eyes, not an
-argument.
-"""
+argument."""
 
 import functools
 from collections.abc import Callable, Iterator

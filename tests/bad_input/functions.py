@@ -1,6 +1,5 @@
 """Bad arguments of every public function and of the methods of runs, problems and mechanisms, by
-the kinds of `generated`.
-"""
+the kinds of `generated`."""
 
 import functools
 from collections.abc import Callable, Iterator
@@ -63,6 +62,8 @@ SAVE |= {"body": BODY, "two axes": np.zeros((2, 2)), "negative": -3}
 PARTS = {"text": "x", "number": 3.0, "none": None, "list": [], "class": jc.Body, "body": BODY}
 MAPPING = {"text": "x", "number": 3.0, "list": [1], "body": BODY, "keys": {3: BODY}}
 NOT_NONE = {k: v for k, v in PARTS.items() if k != "none"}
+NO_TEXT = {k: v for k, v in PARTS.items() if k != "text"}
+ONES = np.ones(3)
 POSITIVE = KINDS["positive"]
 # For every function: what is called with the one argument, the argument's name, its wrong values.
 TABLE: list[tuple[str, str, Callable[[Any], Any], dict[str, Any]]] = [
@@ -70,15 +71,10 @@ TABLE: list[tuple[str, str, Callable[[Any], Any], dict[str, Any]]] = [
     ("simulate", "duration", lambda x: jc.simulate(rig(), x), POSITIVE | {"none": None}),
     ("simulate", "save", lambda x: jc.simulate(rig(), 2e-4, save=x), SAVE),
     ("simulate", "integrator", lambda x: jc.simulate(rig(), 1e-3, integrator=x), NOT_NONE),
-    (
-        "simulate",
-        "concentric",
-        lambda x: jc.simulate(rig(), 1e-3, state=jc.State(concentric=x)),
-        KINDS["flag"],
-    ),
-    ("simulate", "balance", lambda x: jc.simulate(rig(), 1e-3, balance=x), KINDS["flag"]),
-    ("simulate", "progress_bar", lambda x: jc.simulate(rig(), 1e-3, progress_bar=x), KINDS["flag"]),
-    ("simulate", "throw", lambda x: jc.simulate(rig(), 1e-3, throw=x), KINDS["flag"]),
+    ("simulate", "concentric", lambda x: short(state=jc.State(concentric=x)), KINDS["flag"]),
+    ("simulate", "balance", lambda x: short(balance=x), KINDS["flag"]),
+    ("simulate", "progress_bar", lambda x: short(progress_bar=x), KINDS["flag"]),
+    ("simulate", "throw", lambda x: short(throw=x), KINDS["flag"]),
     ("assemble", "assembled", lambda x: jc.assemble(x), PARTS),
     ("assemble", "concentric", lambda x: jc.assemble(rig(), x), KINDS["flag"]),
     ("Mechanism", "bodies", lambda x: jc.Mechanism(x, {}), MAPPING | {"none": None, "empty": {}}),
@@ -92,18 +88,8 @@ TABLE: list[tuple[str, str, Callable[[Any], Any], dict[str, Any]]] = [
     ("Marker", "axis", lambda x: jc.Marker("arm", axis=x), KINDS["vector"] | {"none of xyz": "w"}),
     ("Marker", "quaternion", lambda x: jc.Marker("arm", quaternion=x), KINDS["vector"]),
     ("Connection", "joint", lambda x: jc.Connection(x, "a", "b"), PARTS),
-    (
-        "Connection",
-        "parent",
-        lambda x: jc.Connection(REVOLUTE, x, "b"),
-        dict(list(PARTS.items())[1:]),
-    ),
-    (
-        "Connection",
-        "child",
-        lambda x: jc.Connection(REVOLUTE, "a", x),
-        dict(list(PARTS.items())[1:]),
-    ),
+    ("Connection", "parent", lambda x: jc.Connection(REVOLUTE, x, "b"), NO_TEXT),
+    ("Connection", "child", lambda x: jc.Connection(REVOLUTE, "a", x), NO_TEXT),
     ("Connection", "at", lambda x: jc.Connection(REVOLUTE, "a", "b", at=x), KINDS["vector"]),
     ("Connection", "axis", lambda x: jc.Connection(REVOLUTE, "a", "b", axis=x), KINDS["vector"]),
     ("ContactForce", "elastic", lambda x: jc.contact.ContactForce(x), PARTS),
@@ -140,14 +126,9 @@ TABLE: list[tuple[str, str, Callable[[Any], Any], dict[str, Any]]] = [
     ("advise", "pilot", lambda x: jc.advise(problem(), pilot=x), NOT_NONE),
     ("pointing_error", "pointing_error", lambda x: jc.pointing_error(x, "rod"), PARTS),
     ("pointing_error", "tip", lambda x: jc.pointing_error(run(), x), PARTS | {"other": "rodd"}),
-    ("pointing_error", "base", lambda x: jc.pointing_error(run(), "rod", x), KINDS["word"]),
-    (
-        "pointing_error",
-        "through",
-        lambda x: jc.pointing_error(run(), "rod", through=x),
-        KINDS["word"],
-    ),
-    ("pointing_error", "nominal", lambda x: jc.pointing_error(run(), "rod", nominal=x), NOT_NONE),
+    ("pointing_error", "base", lambda x: pointing(base=x), KINDS["word"]),
+    ("pointing_error", "through", lambda x: pointing(through=x), KINDS["word"]),
+    ("pointing_error", "nominal", lambda x: pointing(nominal=x), NOT_NONE),
     ("combined_modulus", "combined", lambda x: jc.material.combined_modulus(x, STEEL), PARTS),
     ("fitted", "shape", lambda x: jc.stiffness.fitted(HERTZ, x), PARTS),
     ("four_bar", "kind", lambda x: jc.scenes.four_bar(x), KINDS["word"]),
@@ -201,11 +182,19 @@ TABLE: list[tuple[str, str, Callable[[Any], Any], dict[str, Any]]] = [
         "LCP",
         "matrix",
         lambda x: jc.complementarity.LCP(x, np.ones(2)),
-        {"text": "x", "shape": np.ones(3)},
+        {"text": "x", "shape": ONES},
     ),
     ("InteriorPoint.solve", "solver", lambda x: jc.complementarity.InteriorPoint().solve(x), PARTS),
 ]
 REVOLUTE, HERTZ = jc.joint.Revolute(), jc.contact.elastic.Hertz()
+
+
+def short(**how: Any) -> jc.Trajectory:
+    return jc.simulate(rig(), 1e-3, **how)
+
+
+def pointing(**how: Any) -> Any:
+    return jc.pointing_error(run(), "rod", **how)
 
 
 def changed(**changes: Any) -> jc.Mechanism:

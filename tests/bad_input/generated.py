@@ -8,8 +8,7 @@ Legitimate, so not in the list: True and False for `friction` and `wear` of the 
 field allows it; a count given as a NumPy integer; text in place of a marker of a `Connection`; an
 empty dictionary of loads, starts or speeds; `None` for what may be absent; a whole number of saving
 times given as 11.0. What the engine alone calls (formulations, numerics, poses, problems of a step)
-is checked where its numbers come from.
-"""
+is checked where its numbers come from."""
 
 import dataclasses
 import inspect
@@ -32,19 +31,9 @@ class Case(NamedTuple):
 
 
 BODY = jc.Body(1.0, 1e-2)
-NEVER = {
-    "text": "1.0",
-    "list": [1.0],
-    "array": np.ones(3),
-    "dictionary": {},
-    "flag": True,
-    "body": BODY,
-    "class": jc.Body,
-    "complex": 1j,
-    "too large": 10**400,
-    "nan": float("nan"),
-    "inf": float("inf"),
-}
+NEVER = {"text": "1.0", "list": [1.0], "array": np.ones(3), "dictionary": {}, "flag": True}
+NEVER |= {"body": BODY, "class": jc.Body, "complex": 1j, "too large": 10**400}
+NEVER |= {"nan": float("nan"), "inf": float("inf")}
 KINDS: dict[str, dict[str, Any]] = {
     "number": NEVER,
     "positive": NEVER | {"zero": 0.0, "negative": -1.0},
@@ -53,15 +42,8 @@ KINDS: dict[str, dict[str, Any]] = {
     "name": {"number": 3, "none": None, "list": ["a"], "body": BODY, "flag": True},
     "word": {"number": 3, "none": None, "another": "magic", "list": ["a"], "body": BODY},
     "flag": {"text": "no", "number": 2, "none": None, "array": np.ones(2), "body": BODY},
-    "count": {
-        "zero": 0,
-        "negative": -1,
-        "part": 2.5,
-        "text": "3",
-        "flag": True,
-        "nan": float("nan"),
-    }
-    | {"array": np.ones(2), "body": BODY},
+    "count": {"zero": 0, "negative": -1, "part": 2.5, "text": "3", "flag": True}
+    | {"nan": float("nan"), "array": np.ones(2), "body": BODY},
     "seed": {"negative": -1, "part": 2.5, "text": "3", "flag": True, "body": BODY},
     "part": {"text": "steel", "number": 3.0, "list": [], "body": BODY, "class": jc.wear.Archard}
     | {"another family": jc.Projection(), "module": jc.contact, "function": abs},

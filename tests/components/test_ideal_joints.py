@@ -109,8 +109,8 @@ def test_coordinates_and_speeds_follow_from_the_motion(kind):
     velocity, spin = (tuple(sp.apply(pose.rotation, tuple(part))) for part in twist)
     seen = loops.Relative(pose, velocity, spin)
     assert_same_motion(joint, q, v, seen)
-    there_and_back = loops.reverse(
-        loops.reverse(seen, joint.reversal), sp.transpose(joint.reversal)
+    there_and_back = loops.reverse_relative(
+        loops.reverse_relative(seen, joint.reversal), sp.transpose(joint.reversal)
     )
     assert_same_motion(joint, q, v, there_and_back)
 

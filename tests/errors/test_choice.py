@@ -24,7 +24,7 @@ class Run(NamedTuple):
 
 
 def ladder(step, evaluations=1, controlled=False):
-    own = choosing.halving(jc.integrator.FixedStep(step), RIG)
+    own = choosing.halving_rung(jc.integrator.FixedStep(step), RIG)
     return own._replace(evaluations=evaluations, controlled=controlled)
 
 

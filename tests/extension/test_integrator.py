@@ -43,13 +43,10 @@ class Ralston(jc.integrator.AbstractIntegrator):
 def test_integrator_and_response_from_outside_serve_a_study():
     lowest = LowestPoint("ball")
     fall = np.sqrt(2 * 1e-2 / 9.81)
-    problem = jc.Problem(
-        dropped(),
-        {"lowest": lowest},
-        {"c": jc.Variable(lambda rig: rig.connections["gap"].joint.clearance, tolerance=1e-3)},
-        duration=0.8 * fall,
-        integrator=Ralston(),
-    )
+    where = lambda rig: rig.connections["gap"].joint.clearance
+    varied = {"c": jc.Variable(where, tolerance=1e-3)}
+    how = {"duration": 0.8 * fall, "integrator": Ralston()}
+    problem = jc.Problem(dropped(), {"lowest": lowest}, varied, **how)
     found = jc.monte_carlo(problem, samples=4)
     # No sample has reached the floor: a parabola, exact for a method of order 2.
     np.testing.assert_allclose(found.responses["lowest"], -0.64e-2, rtol=1e-9)

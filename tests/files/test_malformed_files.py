@@ -18,50 +18,12 @@ from tests.files.test_round_trip import SCENES, asked
 
 # Pieces that break a file, or ask for what is not there.
 PIECES = [
-    "!!python/object/apply:os.system ['touch broken']",
-    "!!python/name:os.system",
-    "!!binary aGVsbG8=",
-    "&a [*a, *a]",
-    "*nothing",
-    "<<: *nothing",
-    "{",
-    "}",
-    "[",
-    "]",
-    "- ",
-    ": ",
-    "\t",
-    "'",
-    '"',
-    "#",
-    "%",
-    "@",
-    "|",
-    ">",
-    "null",
-    "~",
-    "true",
-    ".nan",
-    ".inf",
-    "-1",
-    "0",
-    "1e999",
-    "9" * 30,
-    "9" * 5000,
-    "1_000",
-    "0x10",
-    "2001-01-01",
-    "kind: Revolute",
-    "kind: ContactForce",
-    "kind: __import__('os').system('touch broken')",
-    "kind: os.system",
-    "../../etc/passwd",
-    "\x00",
-    "\ud7ff",
-    "é",
-    "---",
-    "...",
-    "? ",
+    *("!!python/object/apply:os.system ['touch broken']", "!!python/name:os.system"),
+    *("!!binary aGVsbG8=", "&a [*a, *a]", "*nothing", "<<: *nothing", "- ", ": ", "? ", "\t"),
+    *"{}[]'\"#%@|>~0é\x00\ud7ff",
+    *("null", "true", ".nan", ".inf", "-1", "1e999", "9" * 30, "9" * 5000, "1_000", "0x10"),
+    *("2001-01-01", "kind: Revolute", "kind: ContactForce", "kind: os.system", "---", "..."),
+    *("kind: __import__('os').system('touch broken')", "../../etc/passwd"),
 ]
 
 
@@ -70,30 +32,23 @@ def mutated(text, rng):
     for _ in range(rng.randint(1, 3)):
         lines = text.splitlines(keepends=True) or [""]
         where, at = rng.randrange(len(lines)), rng.randrange(len(text) + 1)
-        way = rng.randrange(8)
+        line, other, way = lines[where], rng.choice(lines), rng.randrange(8)
         if way == 0:
             text = text[:at] + rng.choice(PIECES) + text[at:]
         elif way == 1:
             text = text[:at] + text[at + rng.randint(1, 40) :]
         elif way == 2:
-            del lines[where]
-            text = "".join(lines)
-        elif way == 3:
-            lines.insert(where, rng.choice(lines))
-            text = "".join(lines)
-        elif way == 4:
-            lines[where] = " " * rng.randint(1, 4) + lines[where]
-            text = "".join(lines)
-        elif way == 5:
-            head, colon, _ = lines[where].partition(":")
-            lines[where] = f"{head}{colon} {rng.choice(PIECES)}\n"
-            text = "".join(lines)
-        elif way == 6:
-            text = text[:at] + chr(rng.choice([rng.randrange(32, 127), rng.randrange(1, 0x2FF)]))
-            text += "".join(lines)[at + 1 :]
+            letter = chr(rng.choice([rng.randrange(32, 127), rng.randrange(1, 0x2FF)]))
+            text = text[:at] + letter + text[at + 1 :]
         else:
-            other = rng.choice(lines)
-            lines[where] = lines[where][: rng.randint(0, len(lines[where]))] + other
+            head, colon, _ = line.partition(":")
+            lines[where] = {
+                3: "",
+                4: other + line,
+                5: " " * rng.randint(1, 4) + line,
+                6: f"{head}{colon} {rng.choice(PIECES)}\n",
+                7: line[: rng.randint(0, len(line))] + other,
+            }[way]
             text = "".join(lines)
     return text
 
@@ -146,19 +101,12 @@ def run_mutations(folder, count, first=0):
     return found, longest
 
 
-def test_mutated_files_end_in_sentences(tmp_path, monkeypatch):
+@pytest.mark.parametrize("count", [100, pytest.param(5_000, marks=pytest.mark.slow)])
+def test_mutated_files_end_in_sentences(count, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    found, longest = run_mutations(tmp_path, 250)
-    assert found["refused"] > 100
+    found, longest = run_mutations(tmp_path, count)
+    assert found["refused"] > 0.4 * count and sum(found.values()) == count
     # CPU time of one file; usually some hundredths.
-    assert longest < 5.0
-
-
-@pytest.mark.slow
-def test_ten_thousand_mutated_files_end_in_sentences(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    found, longest = run_mutations(tmp_path, 10_000, first=1000)
-    assert sum(found.values()) == 10_000
     assert longest < 5.0
 
 
@@ -171,24 +119,29 @@ def test_a_tag_is_no_object(tmp_path, monkeypatch):
     assert not (tmp_path / "broken").exists()
 
 
-@pytest.mark.parametrize(
-    ("text", "sentence"),
-    [
-        ("", "scene.yaml: is empty"),
-        ("jaxclear_scene: 1\n", "has no mechanism"),
-        ("mechanism: {}\n", 'has no "jaxclear_scene: 1"'),
-        ("jaxclear_scene: 7\n", "line 1, jaxclear_scene: is 7; this version of jaxclear reads 1"),
-        ("a: [1, 2\nb: 3\n", r"line 2: .*\(YAML\)"),
-        ("a: 1\na: 2\n", 'line 2: the name "a" stands twice'),
-        ("a: *b\n", 'line 1: the alias "b" names nothing above it'),
-        ("a: &b [*b]\n", 'line 1: the alias "b" names nothing above it'),
-        ("--- 1\n--- 2\n", "line 2: a second document begins"),
-        ("a: " + "[" * 100_000, f"nested more than {DEEPEST} deep"),
-        ("- 1\n", "must be a mapping"),
-    ],
-)
+WRONG = [
+    ("", "scene.yaml: is empty"),
+    ("jaxclear_scene: 1\n", "has no mechanism"),
+    ("mechanism: {}\n", 'has no "jaxclear_scene: 1"'),
+    ("jaxclear_scene: 7\n", "line 1, jaxclear_scene: is 7; this version of jaxclear reads 1"),
+    ("a: [1, 2\nb: 3\n", r"line 2: .*\(YAML\)"),
+    ("a: 1\na: 2\n", 'line 2: the name "a" stands twice'),
+    ("a: *b\n", 'line 1: the alias "b" names nothing above it'),
+    ("a: &b [*b]\n", 'line 1: the alias "b" names nothing above it'),
+    ("--- 1\n--- 2\n", "line 2: a second document begins"),
+    ("a: " + "[" * 100_000, f"nested more than {DEEPEST} deep"),
+    ("- 1\n", "must be a mapping"),
+    ("{", r"line 1: .*\(JSON\)"),
+    ('{"a": 1, "a": 2}', 'the name "a" stands twice'),
+    ('{"a": NaN}', "holds NaN"),
+    ("[" * 5000 + "]" * 5000, "nested more than"),
+    ('{"a": ' + "9" * 5000 + "}", "thousands of digits"),
+]
+
+
+@pytest.mark.parametrize(("text", "sentence"), WRONG, ids=range(len(WRONG)))
 def test_what_is_wrong_is_named_by_its_line(text, sentence, tmp_path):
-    path = tmp_path / "scene.yaml"
+    path = tmp_path / ("scene.json" if text[:1] in ("{", "[") else "scene.yaml")
     path.write_text(text)
     with pytest.raises(ValueError, match=sentence):
         jc.read_scene(path)
@@ -236,12 +189,11 @@ def test_values_of_json_are_counted_before_they_are_read(values, tmp_path):
     path, named = tmp_path / "scene.json", ":" in values
     opened, closed = "{}" if named else "[]"
     many = lambda count: opened + ",".join([values] * count) + closed
-    text = many(31_000_000 // (len(values) + 1))
-    path.write_text(text)
+    path.write_text(many(MOST_VALUES + 2))
     begun = time.process_time()
     with pytest.raises(ValueError, match=f"more than {MOST_VALUES} values"):
         jc.read_scene(path)
-    assert time.process_time() - begun < 4.0
+    assert time.process_time() - begun < 2.0
     for few in (0, 1, 7):
         assert values_of(many(few)) == 1 + few * (2 if "[1]" in values else 1)
 
@@ -265,23 +217,6 @@ def test_a_function_is_refused_by_its_place_and_nothing_is_written(tmp_path):
     with pytest.raises(ValueError, match=sentence):
         jc.write_scene(mechanism, path)
     assert not path.exists()
-
-
-@pytest.mark.parametrize(
-    ("text", "sentence"),
-    [
-        ("{", r"line 1: .*\(JSON\)"),
-        ('{"a": 1, "a": 2}', 'the name "a" stands twice'),
-        ('{"a": NaN}', "holds NaN"),
-        ("[" * 5000 + "]" * 5000, "nested more than"),
-        ('{"a": ' + "9" * 5000 + "}", "thousands of digits"),
-    ],
-)
-def test_wrong_json_is_refused_with_a_sentence(text, sentence, tmp_path):
-    path = tmp_path / "scene.json"
-    path.write_text(text)
-    with pytest.raises(ValueError, match=sentence):
-        jc.read_scene(path)
 
 
 def test_what_is_no_file_is_named(tmp_path):

@@ -120,10 +120,7 @@ def test_model_exchange_moves_as_adaptive_over_many_touches(tmp_path):
 
 
 def test_what_is_no_rate_is_refused_for_exchange(tmp_path):
+    means = {"integrator": jc.integrator.MoreauJean(1e-4), "kinds": ("model exchange",)}
+    hinge = {"O": jc.Connection(jc.joint.Revolute(), "ground", "arm")}
     with pytest.raises(ValueError, match="means over its steps: take co-simulation"):
-        jc.export_fmu(
-            rig(),
-            tmp_path / "no.fmu",
-            integrator=jc.integrator.MoreauJean(1e-4),
-            kinds=("model exchange",),
-        )
+        jc.export_fmu(jc.Mechanism({"arm": jc.Body(1.0, 1.0)}, hinge), tmp_path / "no.fmu", **means)

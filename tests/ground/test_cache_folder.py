@@ -6,7 +6,15 @@ import threading
 import pytest
 
 from jaxclear.ground import cache_folder
-from jaxclear.ground.cache_folder import KERNEL, PROGRAM, key_of, list_files, place, read, write
+from jaxclear.ground.cache_folder import (
+    KERNEL,
+    PROGRAM,
+    folder_path,
+    key_of,
+    list_files,
+    read,
+    write,
+)
 
 KEY = key_of("a", "program")
 
@@ -15,6 +23,13 @@ KEY = key_of("a", "program")
 def folder(tmp_path, monkeypatch):
     monkeypatch.setenv(cache_folder.VARIABLE, str(tmp_path))
     return tmp_path / "programs"
+
+
+@pytest.fixture
+def file(folder):
+    """One that is kept."""
+    write(KERNEL, KEY, b"one")
+    return list_files()[0].path
 
 
 def test_what_is_kept_is_found_by_its_kind_and_key(folder):
@@ -27,21 +42,13 @@ def test_what_is_kept_is_found_by_its_kind_and_key(folder):
     assert len(list_files()) == 2 and cache_folder.clear() == 2 and list_files() == []
 
 
-def test_nobody_else_may_read_or_write_it(folder):
-    write(KERNEL, KEY, b"one")
-    (file,) = list_files()
-    assert folder.stat().st_mode & 0o777 == 0o700
-    assert file.path.stat().st_mode & 0o777 == 0o600
-
-
 @pytest.mark.skipif(os.name == "nt", reason="permissions of POSIX")
 @pytest.mark.parametrize("others", [0o040, 0o020, 0o004, 0o002])
-def test_what_others_may_touch_is_not_taken(folder, others):
-    write(KERNEL, KEY, b"one")
-    (file,) = list_files()
-    file.path.chmod(0o600 | others)
+def test_what_others_may_touch_is_not_taken(folder, file, others):
+    assert folder.stat().st_mode & 0o777 == 0o700 and file.stat().st_mode & 0o777 == 0o600
+    file.chmod(0o600 | others)
     assert read(KERNEL, KEY) is None
-    file.path.chmod(0o600)
+    file.chmod(0o600)
     assert read(KERNEL, KEY) == b"one"
     folder.chmod(0o700 | others)
     assert read(KERNEL, KEY) is None
@@ -50,43 +57,36 @@ def test_what_others_may_touch_is_not_taken(folder, others):
     assert read(PROGRAM, KEY) is None
 
 
-def test_a_link_and_what_belongs_to_another_user_are_not_taken(folder, monkeypatch, tmp_path):
-    write(KERNEL, KEY, b"one")
-    (file,) = list_files()
+def test_a_link_and_what_belongs_to_another_user_are_not_taken(file, monkeypatch, tmp_path):
     other = tmp_path / "elsewhere"
-    file.path.rename(other)
-    file.path.symlink_to(other)
+    file.rename(other)
+    file.symlink_to(other)
     assert read(KERNEL, KEY) is None
-    file.path.unlink()
-    other.rename(file.path)
+    file.unlink()
+    other.rename(file)
     assert read(KERNEL, KEY) == b"one"
     user = os.geteuid()
     monkeypatch.setattr(os, "geteuid", lambda: user + 1)
     assert read(KERNEL, KEY) is None
 
 
-@pytest.mark.parametrize(
-    "damage",
-    [
-        lambda whole: whole[:-1],
-        lambda whole: whole[:-1] + b"X",
-        lambda whole: b"",
-        lambda whole: b"X" + whole[1:],
-    ],
-    ids=["cut", "a bit", "empty", "its mark"],
-)
-def test_a_damaged_file_is_a_miss_and_goes(folder, damage):
-    write(KERNEL, KEY, b"one")
-    (file,) = list_files()
-    file.path.write_bytes(damage(file.path.read_bytes()))
+DAMAGES = {
+    "cut": lambda whole: whole[:-1],
+    "a bit": lambda whole: whole[:-1] + b"X",
+    "empty": lambda whole: b"",
+    "its mark": lambda whole: b"X" + whole[1:],
+}
+
+
+@pytest.mark.parametrize("name", DAMAGES)
+def test_a_damaged_file_is_a_miss_and_goes(file, name):
+    file.write_bytes(DAMAGES[name](file.read_bytes()))
     assert read(KERNEL, KEY) is None and list_files() == []
 
 
-def test_a_file_under_the_name_of_another_is_a_miss(folder):
-    write(KERNEL, KEY, b"one")
-    (file,) = list_files()
+def test_a_file_under_the_name_of_another_is_a_miss(folder, file):
     other = key_of("another")
-    file.path.rename(folder / f"{other}.{KERNEL}")
+    file.rename(folder / f"{other}.{KERNEL}")
     assert read(KERNEL, other) is None
 
 
@@ -123,8 +123,7 @@ def test_several_at_once_find_it_whole_or_not_at_all(folder):
     assert len(list(folder.iterdir())) == 1
 
 
-def test_what_a_killed_process_was_writing_goes(folder):
-    write(KERNEL, KEY, b"one")
+def test_what_a_killed_process_was_writing_goes(folder, file):
     old, new = (folder / f"{cache_folder.TEMPORARY_PREFIX}{name}" for name in ("old", "new"))
     for path in (old, new):
         path.write_bytes(bytes(100))
@@ -138,8 +137,8 @@ def test_what_a_killed_process_was_writing_goes(folder):
 def test_it_can_be_switched_off(off, monkeypatch):
     monkeypatch.setenv(cache_folder.VARIABLE, off)
     write(KERNEL, KEY, b"one")
-    assert place() is None and read(KERNEL, KEY) is None and list_files() == []
-    assert cache_folder.of_jax() is None
+    assert folder_path() is None and read(KERNEL, KEY) is None and list_files() == []
+    assert cache_folder.jax_folder() is None
 
 
 @pytest.mark.skipif(os.name == "nt", reason="the folders of other systems")
@@ -147,13 +146,13 @@ def test_it_lies_in_the_users_cache_folder(tmp_path, monkeypatch):
     monkeypatch.delenv(cache_folder.VARIABLE)
     monkeypatch.setattr("sys.platform", "linux")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    assert place() == tmp_path / "jaxclear" / "programs"
+    assert folder_path() == tmp_path / "jaxclear" / "programs"
     monkeypatch.setenv("HOME", str(tmp_path / "home"))
     for given in ("", "relative"):
         monkeypatch.setenv("XDG_CACHE_HOME", given)
-        assert place() == tmp_path / "home" / ".cache" / "jaxclear" / "programs"
+        assert folder_path() == tmp_path / "home" / ".cache" / "jaxclear" / "programs"
     monkeypatch.setattr("sys.platform", "darwin")
-    assert place() == tmp_path / "home" / "Library" / "Caches" / "jaxclear" / "programs"
+    assert folder_path() == tmp_path / "home" / "Library" / "Caches" / "jaxclear" / "programs"
 
 
 def test_a_full_disk_costs_no_run(folder, monkeypatch):

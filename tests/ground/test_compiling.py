@@ -1,7 +1,4 @@
-"""What is compiled quickly gives the same alone and within other programs.
-
-What is traced once for all calls that are alike.
-"""
+"""What is compiled quickly, and what is traced once for all calls that are alike."""
 
 import gc
 

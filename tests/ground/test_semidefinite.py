@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from jaxclear.ground.factorisation import (
+    dense_array,
     factor,
     factor_of_rank,
     is_written_out,
-    placed,
     solve,
     solve_least,
 )
@@ -83,12 +83,17 @@ def test_a_long_chain_is_written_out_and_a_wheel_numbered_from_its_hub_is_not():
     assert is_written_out(chain) and not is_written_out(hub)
 
 
-@pytest.mark.parametrize("size", [5, 30, 45])
+@pytest.mark.parametrize("size", [5, 41])
 def test_both_ways_solve_the_system(size):
+    """Written out, and by LAPACK where that would be long."""
     matrix, right = drawn(size, size)
     matrix = matrix + np.eye(size)
-    factors = factor([list(row) for row in jnp.asarray(matrix)])
-    found = jnp.stack(solve(factors, tuple(jnp.asarray(right))))
+
+    @jax.jit
+    def solution(matrix, right):
+        return jnp.stack(solve(factor([list(row) for row in matrix]), tuple(right)))
+
+    found = solution(matrix, right)
     np.testing.assert_allclose(found, np.linalg.solve(matrix, right), rtol=1e-9, atol=1e-12)
 
 
@@ -97,7 +102,7 @@ def test_constants_of_a_wide_array_are_no_operations():
 
     def rows(x):
         entries = {(i, i): float(i % 3 - 1) for i in range(50)}
-        return placed(entries | {(i, i + 5): x[i] for i in range(4)}, (50, 60))
+        return dense_array(entries | {(i, i + 5): x[i] for i in range(4)}, (50, 60))
 
     x = np.array([2.0, 3.0, 5.0, 7.0])
     wanted = np.zeros((50, 60))

@@ -163,7 +163,7 @@ def test_a_factor_that_misses_its_restitution_by_2_per_cent_says_by_how_much(fac
             law = factor(restitution=restitution)
         d = float(law.factor())
         found = returned(d) if d > 1e-4 else 1.0
-        np.testing.assert_allclose(dissipation.rebound_by(d), found, atol=1e-10)
+        np.testing.assert_allclose(dissipation.restitution_for(d), found, atol=1e-10)
         assert len(said) == (abs(found / restitution - 1) > 0.02)
         if said:
             assert said[0].filename == __file__

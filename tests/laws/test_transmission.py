@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxclear.laws.transmission import freewheel, helix, holding, loss, one_sided
+from jaxclear.laws.transmission import freewheel_pull, helix_of_thread, holding, loss, one_sided
 
 K, D = 2e3, 0.7
 
@@ -13,7 +13,7 @@ K, D = 2e3, 0.7
 def test_a_freewheel_holds_or_slips_and_never_both():
     drawn = np.random.default_rng(1)
     for twist, rate in drawn.uniform(-1, 1, (50, 2)) * (0.01, 5.0):
-        pull, turning = freewheel(abs(twist), rate, K, D)
+        pull, turning = freewheel_pull(abs(twist), rate, K, D)
         slip = rate - turning
         assert pull.force >= 0 and slip <= 0
         np.testing.assert_allclose(pull.force * slip, 0.0, atol=1e-9)
@@ -23,7 +23,7 @@ def test_a_freewheel_holds_or_slips_and_never_both():
 
 
 def test_a_freewheel_that_is_loaded_does_not_creep():
-    assert freewheel(0.01, 0.0, K, D)[1] == 0.0
+    assert freewheel_pull(0.01, 0.0, K, D)[1] == 0.0
 
 
 def test_a_one_sided_spring_never_pulls_and_never_gives_energy():
@@ -40,7 +40,7 @@ def test_a_one_sided_spring_never_pulls_and_never_gives_energy():
 def test_a_thread_takes_the_torque_of_the_textbook(raises):
     # Shigley, example 8-1: d = 32 mm, pitch 4 mm, double thread, square; mu = 0.08, F = 6.4 kN
     load, mu, lead, diameter = 6.4e3, 0.08, 8e-3, 30e-3
-    own = helix(lead, diameter, 0.0)
+    own = helix_of_thread(lead, diameter, 0.0)
     # the elastic part carries the load less what friction carries of it
     elastic = load / (1 - raises * mu * own.normal * own.axial)
     torque = elastic * (lead / (2 * np.pi) + raises * mu * own.normal * own.lever)
@@ -50,7 +50,7 @@ def test_a_thread_takes_the_torque_of_the_textbook(raises):
 
 def test_inclined_flanks_take_more():
     lead, diameter, mu, flank = 5e-3, 0.02, 0.15, np.radians(14.5)
-    own = helix(lead, diameter, flank)
+    own = helix_of_thread(lead, diameter, flank)
     secant = 1 / np.cos(flank)
     wanted = 0.5 * diameter * (lead + np.pi * mu * diameter * secant)
     wanted /= np.pi * diameter - mu * lead * secant

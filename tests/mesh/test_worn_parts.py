@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
-from jaxclear.mesh.block_mesh import BlockMesh, joined
+from jaxclear.mesh.block_mesh import BlockMesh, join_blocks
 
 THICKNESS = 4e-3
 WEAR = jc.wear.Archard(wear_coefficient=1e-4, hardness=2e9)
@@ -130,7 +130,7 @@ def test_the_shape_of_a_sheared_box_is_the_sine_of_its_angle():
     grid = np.stack(np.meshgrid(*[np.arange(3.0)] * 3, indexing="ij"), -1)
     angle = 0.7
     sheared = grid @ np.array([[1, 0, 0], [np.cos(angle), np.sin(angle), 0], [0, 0, 1]])
-    mesh = joined([sheared[None]])
+    mesh = join_blocks([sheared[None]])
     np.testing.assert_allclose(mesh.scaled_jacobians(), np.sin(angle), rtol=1e-12)
     assert float(mesh.volume()) == pytest.approx(8 * np.sin(angle))
     turned = BlockMesh(mesh.points * jnp.array([1, 1, -1]), mesh.groups)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
-from jaxclear.ground.factorisation import least_change, of_rank
+from jaxclear.ground.factorisation import least_change, reduce_to_rank
 from jaxclear.multibody import assembly, redundancy
 from jaxclear.native import as_kernel, rows
 from jaxclear.native.rows import operations_of
@@ -59,7 +59,7 @@ def test_row_operations_of_any_size_are_kernels(count, caplog):
     scales = jnp.ones(count + 4)
 
     def change(matrix, targets):
-        chosen = of_rank(matrix, targets, scales, count - 1)
+        chosen = reduce_to_rank(matrix, targets, scales, count - 1)
         return least_change(matrix, targets, scales), least_change(*chosen, scales)
 
     whole, chosen = jax.jit(lambda *given: as_kernel(change, *given))(matrix, targets)

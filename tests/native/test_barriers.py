@@ -11,7 +11,7 @@ from jax.extend.core import Literal
 import jaxclear as jc
 from jaxclear.native import program_pieces
 from jaxclear.native.loop import reference_in_pieces, reference_of_batch
-from jaxclear.native.program import replayed
+from jaxclear.native.program import replay
 from jaxclear.native.while_loops import while_loop
 
 
@@ -89,7 +89,7 @@ def most_work(program, reader=None):
 def test_a_piece_ends_before_work_is_done_many_times():
     whole = jax.make_jaxpr(turned)(jnp.ones(3))
     cut = jax.make_jaxpr(in_pieces_of(turned))(jnp.ones(3))
-    flat = jax.make_jaxpr(lambda x: replayed(whole, [x]))(jnp.ones(3))
+    flat = jax.make_jaxpr(lambda x: replay(whole, [x]))(jnp.ones(3))
     # An operation of three terms that reads others of fewer than `WORK`.
     assert most_work(cut) < 10 * program_pieces.WORK < 1e-6 * most_work(flat)
 
@@ -110,7 +110,7 @@ def test_where_to_read_is_worked_out_once():
     angles = jnp.linspace(0.0, 1.0, 4)
     cut = jax.make_jaxpr(in_pieces_of(over))(angles, table)
     whole = jax.make_jaxpr(over)(angles, table)
-    flat = jax.make_jaxpr(lambda *given: replayed(whole, given))(angles, table)
+    flat = jax.make_jaxpr(lambda *given: replay(whole, given))(angles, table)
     assert most_work(cut, "gather") <= program_pieces.LITTLE < 30 < most_work(flat, "gather")
     found = in_pieces_of(over)(angles, table)
     np.testing.assert_allclose(found[0], over(angles, table), rtol=1e-12)

@@ -21,7 +21,7 @@ from jaxclear.ground import cache_folder
 from jaxclear.ground.recent_results import Latest
 from jaxclear.native import compiled, forms, source_check
 from jaxclear.native.compiled import compiled_quickly
-from jaxclear.native.forms import Untold, in_text, surroundings, tree_in_text
+from jaxclear.native.forms import Untold, environment_of_program, in_text, tree_in_text
 
 ROOT = Path(jc.__file__).parents[1]
 # A run of the slider-crank, what it gives, and what was compiled for it.
@@ -186,13 +186,13 @@ class Quiet:
 
 def test_settings_make_another_program(monkeypatch):
     monkeypatch.setattr(source_check, "_CONTENTS", {})
-    before = surroundings()
-    assert surroundings() == before
+    before = environment_of_program()
+    assert environment_of_program() == before
     monkeypatch.setenv("JAXCLEAR_PLAIN_LOOPS", "1")
-    other = surroundings()
+    other = environment_of_program()
     monkeypatch.delenv("JAXCLEAR_PLAIN_LOOPS")
     with jax.default_matmul_precision("highest"):
-        assert len({before, other, surroundings()}) == 3
+        assert len({before, other, environment_of_program()}) == 3
 
 
 def test_settings_that_change_within_a_process_make_another_program(kept, monkeypatch):
@@ -221,11 +221,11 @@ def test_a_package_that_is_changed_in_a_process_is_not_found_by_its_names(monkey
     ]
     monkeypatch.setattr(source_check, "_CONTENTS", {})
     for patch in patches:
-        surroundings()
+        environment_of_program()
         with monkeypatch.context() as on:
             patch(on)
             with pytest.raises(Untold, match="changed in this process"):
-                surroundings()
+                environment_of_program()
 
 
 def test_files_count_by_what_stands_in_them(tmp_path):

@@ -72,7 +72,7 @@ def test_a_program_whose_kernel_has_gone_says_so():
             jax.block_until_ready(run(jnp.zeros(3)))
     finally:
         for number, address in addresses.items():
-            dispatch.enter(number, address)
+            dispatch.enter_kernel(number, address)
     assert jnp.isfinite(run(jnp.zeros(3))[1]).all()
 
 
@@ -80,12 +80,12 @@ def test_another_kernel_takes_the_place_of_one_that_has_gone(monkeypatch):
     """Numbers that begin at one place of the table stand behind each other."""
     monkeypatch.setattr(dispatch, "TABLE", (ctypes.c_int64 * (2 * dispatch.PLACES))())
     first, second, third = (1 + k * dispatch.PLACES for k in range(3))
-    dispatch.enter(first, 11)
-    dispatch.enter(second, 22)
+    dispatch.enter_kernel(first, 11)
+    dispatch.enter_kernel(second, 22)
     dispatch.remove(first, 99)
     assert dispatch.size() == 2
     dispatch.remove(first, 11)
-    dispatch.enter(third, 33)
+    dispatch.enter_kernel(third, 33)
     assert dispatch.size() == 2 and list(dispatch.TABLE[2:6]) == [third, 33, second, 22]
 
 
@@ -120,9 +120,9 @@ def test_the_code_of_a_kernel_goes_when_the_last_call_of_it_has_ended():
     call = threading.Thread(target=lambda: found.append(float(run(0.0, 3e8))))
     call.start()
     end = time.monotonic() + 20.0
-    while not dispatch.in_use(place) and time.monotonic() < end:
+    while not dispatch.is_in_use(place) and time.monotonic() < end:
         time.sleep(1e-3)
-    assert dispatch.in_use(place)
+    assert dispatch.is_in_use(place)
     kernel._dropped(own.number, own._entry, code)
     del code
     kernel.free_the_unused()
@@ -131,5 +131,5 @@ def test_the_code_of_a_kernel_goes_when_the_last_call_of_it_has_ended():
         run(0.0, 1.0)
     call.join()
     kernel.free_the_unused()
-    assert held() is None and not dispatch.in_use(place)
+    assert held() is None and not dispatch.is_in_use(place)
     assert found == [2.0]

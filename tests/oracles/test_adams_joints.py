@@ -2,8 +2,7 @@
 
 A body of 4 m hangs by one end in one joint; the cases of a joint differ by numbers only, so each
 joint compiles once. Tolerance 1e-3 of each history's own scale: the reference's integrator, not its
-print, is the limit.
-"""
+print, is the limit."""
 
 import json
 from pathlib import Path
@@ -42,18 +41,14 @@ def turned(degrees):
 
 
 def close(found, case, key, floor):
-    """Largest error within the tolerance of the history's scale; `floor` is the scale of a history
-    that is zero.
-    """
+    """Largest error within the tolerance of the history's scale, at least `floor`."""
     scale = max(case[f"{key}_scale"], floor)
     error = np.abs(np.asarray(found)[1:] - np.array(case[key])).max() / scale
     assert error < REFERENCE["tolerance"], f"{key}: {error:.2e} of {scale:.3g}"
 
 
 def on_ground(run, name, at):
-    """Force and torque that the ground receives at its own marker, from what the child receives at
-    its marker.
-    """
+    """Force and torque that the ground receives at its own marker."""
     reaction = run.reaction(name)
     arm = run.body("bar").origin - np.array(at)
     return -reaction.force, -(reaction.torque + np.cross(arm, reaction.force))
@@ -62,11 +57,8 @@ def on_ground(run, name, at):
 @pytest.mark.parametrize(("name", "case"), CASES)
 def test_motion_and_reaction_of_an_ideal_joint_agree_with_adams(name, case):
     reference = REFERENCE["cases"][name][case]
-    at = (
-        (0.0, 0.0, 0.0)
-        if case == "case1" or (name, case) == ("cylindrical", "case2")
-        else (1.0, 2.0, 3.0)
-    )
+    central = case == "case1" or (name, case) == ("cylindrical", "case2")
+    at = (0.0, 0.0, 0.0) if central else (1.0, 2.0, 3.0)
     rig = held(JOINTS[name](), at, turned(TURN[name][case]))
     precise = jc.integrator.Adaptive(rtol=1e-10, atol=1e-12)
     run = jc.simulate(rig, TIMES[-1], save=TIMES, integrator=precise)
@@ -82,23 +74,16 @@ def test_motion_and_reaction_of_an_ideal_joint_agree_with_adams(name, case):
 @pytest.mark.parametrize("case", ["case1", "case2"])
 def test_drive_of_a_slide_pushes_as_in_adams(case):
     """The reaction along the slide is the actuator's force (given on the body), that across it the
-    slide's own.
-    """
+    slide's own."""
     reference = REFERENCE["cases"]["actuator"][case]
     speed, degrees = {"case1": (1.0, 0.0), "case2": (0.5, 45.0)}[case]
     half = np.deg2rad(degrees) / 2
     slide = jc.joint.Prismatic(drive=jc.drive.ConstantSpeed(speed))
+    turned = (np.cos(half), 0.0, np.sin(half), 0.0)
+    rail = jc.Marker("ground", (0.0, 0.0, 0.0), quaternion=turned)
     rig = jc.Mechanism(
         {"bar": jc.Body(mass=1.0, inertia=(1.0, 1.0, 1.0))},
-        {
-            "slide": jc.Connection(
-                slide,
-                jc.Marker(
-                    "ground", (0.0, 0.0, 0.0), quaternion=(np.cos(half), 0.0, np.sin(half), 0.0)
-                ),
-                "bar",
-            )
-        },
+        {"slide": jc.Connection(slide, rail, "bar")},
         {"gravity": jc.load.Gravity((0.0, 0.0, -9.80665))},
     )
     run = jc.simulate(rig, TIMES[-1], save=TIMES)
@@ -114,8 +99,6 @@ def test_drive_of_a_slide_pushes_as_in_adams(case):
 
 def test_cases_of_a_joint_share_one_compiled_run():
     """The reference's cases are numbers: a second one must not trace again."""
-    first, second = (held(jc.joint.Revolute(), (0.0, 0.0, z), turned(z)) for z in (0.0, 45.0))
-    assert eqx.tree_equal(
-        eqx.filter(first, eqx.is_array, inverse=True),
-        eqx.filter(second, eqx.is_array, inverse=True),
-    )
+    rigs = (held(jc.joint.Revolute(), (0.0, 0.0, z), turned(z)) for z in (0.0, 45.0))
+    static = [eqx.filter(rig, eqx.is_array, inverse=True) for rig in rigs]
+    assert eqx.tree_equal(*static)

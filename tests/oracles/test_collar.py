@@ -1,6 +1,5 @@
 """A journal that comes down on its collar: at rest the collar carries the weight where it stands,
-on the axis or beside it, as statics asks.
-"""
+on the axis or beside it, as statics asks."""
 
 import numpy as np
 import pytest

@@ -1,7 +1,6 @@
 """A rod thrown in a spherical joint with clearance, against Exudyn's hollow sphere.
 
-Both take the approach speed at the first instant of contact; positions agree within 1e-7 m.
-"""
+Both take the approach speed at the first instant of contact; positions agree within 1e-7 m."""
 
 import json
 from pathlib import Path
@@ -23,8 +22,7 @@ LAWS = {
 
 class LinearRamp(jc.friction.AbstractSlipFriction):
     """mu |v| / v_r up to v_r, mu above: Exudyn's regularised friction, as a law defined outside the
-    package.
-    """
+    package."""
 
     mu: float
     ramp_speed: float

@@ -1,6 +1,5 @@
 """The flap with one slack joint, against Exudyn with the contact law as a user force: the flight
-through the play, the impact, and the contact that follows.
-"""
+through the play, the impact, and the contact that follows."""
 
 import json
 from pathlib import Path

@@ -3,8 +3,7 @@ and contacts by turns, each solved for itself by scipy up to the event that ends
 
 5000 rpm, rod on slider with half a millimetre of clearance: the journal crosses it within 0.1 ms
 and strikes at 0.8 to 4.4 m/s, eighteen times in the half turn that is compared. Impacts part
-neighbouring paths by a factor of some thousand in that time.
-"""
+neighbouring paths by a factor of some thousand in that time."""
 
 import math
 

@@ -2,8 +2,7 @@
 of four others, and what it does not.
 
 Source of the records: tests/refdata/brfd_backlash_damper.csv, whose licence (CC BY-SA 4.0) stands
-in the file.
-"""
+in the file."""
 
 import jax.numpy as jnp
 import numpy as np

@@ -2,8 +2,7 @@
 hinges that are parallel, Bennett's and Bricard's rings by the equations between their angles.
 
 Parallel cranks carry their coupler along a circle: with theta the angle of the cranks, I theta'' =
--g G cos(theta), I and G moments of all masses, to rounding for any number of cranks.
-"""
+-g G cos(theta), I and G moments of all masses, to rounding for any number of cranks."""
 
 import re
 
@@ -53,16 +52,6 @@ def run_is_spatial(run):
     return len(run.mechanism.bodies["coupler"].inertia) > 1
 
 
-def test_three_parallel_cranks_swing_as_one(swung):
-    assert off(swung) < 1e-9
-    # Of the largest energy, some 1 J.
-    assert np.abs(swung.energy_balance().error).max() < 1e-9
-
-
-def test_drift_of_redundant_rows_is_that_of_the_integrator(swung):
-    assert max(float(drift.max()) for drift in swung.drift().values()) < 1e-12
-
-
 @pytest.mark.slow
 def test_three_parallel_cranks_over_ten_seconds():
     """Some forty times through the line, where the coupler may turn off: at a tight tolerance a run
@@ -84,29 +73,17 @@ def by_hand(theta, spin_rate, spin):
     """Forces on the coupler at the tops of the second and third crank: the least of those with
     which every part moves as it does (moments about the feet and the first top, and along the
     circle)."""
-    along, across = (
-        np.array([np.cos(theta), np.sin(theta)]),
-        np.array([-np.sin(theta), np.cos(theta)]),
-    )
-    weight = np.array([0.0, -GRAVITY])
+    along = np.array([np.cos(theta), np.sin(theta)])
+    across, weight = np.array([-along[1], along[0]]), np.array([0.0, -GRAVITY])
     acceleration = LENGTH * (spin_rate * across - spin**2 * along)
-    needed = (1e-3 + CRANK * LENGTH**2 / 4) * spin_rate + CRANK * GRAVITY * LENGTH / 2 * np.cos(
-        theta
-    )
+    needed = (1e-3 + CRANK * LENGTH**2 / 4) * spin_rate + CRANK * GRAVITY * LENGTH / 2 * along[0]
     lever = LENGTH * across
     centre = np.array([0.5 * APART * (COUNT - 1) + 0.02, 0.01])
     own = COUPLER * (weight - acceleration)
     moment = centre[0] * own[1] - centre[1] * own[0]
-    rows = np.array(
-        [
-            [*-lever, 0.0, 0.0],
-            [0.0, 0.0, *-lever],
-            [*lever, *lever],
-            [0.0, APART, 0.0, 2 * APART],
-        ]
-    )
+    rows = [[*-lever, 0, 0], [0, 0, *-lever], [*lever, *lever], [0, APART, 0, 2 * APART]]
     right = [needed, needed, needed - lever @ own, -moment]
-    return np.linalg.lstsq(rows, np.array(right), rcond=1e-10)[0].reshape(2, 2)
+    return np.linalg.lstsq(np.array(rows), np.array(right), rcond=1e-10)[0].reshape(2, 2)
 
 
 @pytest.mark.slow
@@ -121,17 +98,11 @@ def test_reactions_are_the_least_that_hold_the_motion(swung):
         for i in (1, 2):
             np.testing.assert_allclose(found[i].force[k, :2], wanted[i - 1], atol=1e-7)
     # However the cranks share it, their sum is what moves the coupler.
-    circle = np.stack(
-        [
-            -np.sin(theta) * rate - np.cos(theta) * spin**2,
-            np.cos(theta) * rate - np.sin(theta) * spin**2,
-        ],
-        axis=1,
-    )
+    sin, cos = np.sin(theta), np.cos(theta)
+    circle = np.stack([-sin * rate - cos * spin**2, cos * rate - sin * spin**2], axis=1)
     total = sum(own.force[:, :2] for own in found.values())
-    np.testing.assert_allclose(
-        total, COUPLER * (LENGTH * circle + np.array([0.0, GRAVITY])), atol=1e-7
-    )
+    wanted = COUPLER * (LENGTH * circle + np.array([0.0, GRAVITY]))
+    np.testing.assert_allclose(total, wanted, atol=1e-7)
 
 
 def test_friction_of_a_given_normal_force_asks_for_no_reaction():
@@ -161,23 +132,22 @@ def test_friction_of_a_reaction_that_is_not_unique_is_refused(integrator):
         jc.simulate(cranks(crank=rubs), 0.01, save=3, integrator=integrator)
 
 
-def test_run_and_mechanism_say_what_is_redundant(swung):
+def test_three_parallel_cranks_swing_as_one(swung):
+    assert off(swung) < 1e-9
+    # Of the largest energy, some 1 J.
+    assert np.abs(swung.energy_balance().error).max() < 1e-9
+    assert max(float(drift.max()) for drift in swung.drift().values()) < 1e-12
     sentence = 'overconstrained: of the rows that close loops x of joint "top 2" follows'
-    assert sentence in str(swung)
-    assert sentence in str(swung.mechanism)
+    assert sentence in str(swung) and sentence in str(swung.mechanism)
     assert sentence not in str(cranks())
 
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("error")
 def test_reactions_of_two_cranks_are_unique():
-    run = jc.simulate(
-        parallel_cranks(2, start={"foot 0": ANGLE}, guess={"foot 1": ANGLE, "top 0": -ANGLE}),
-        0.1,
-        save=3,
-    )
-    assert run.mechanism.topology.redundancy is None
-    assert run.reaction("top 1").unique
+    near = {"foot 1": ANGLE, "top 0": -ANGLE}
+    run = jc.simulate(parallel_cranks(2, start={"foot 0": ANGLE}, guess=near), 0.1, save=3)
+    assert run.mechanism.topology.redundancy is None and run.reaction("top 1").unique
 
 
 @pytest.mark.parametrize("longer", [1e-3, 1e-6])
@@ -209,17 +179,12 @@ def test_cranks_that_lie_in_one_line_start_moving():
 @pytest.mark.slow
 def test_derivative_is_that_of_the_motion():
     """By gravity, through 300 steps of Runge and Kutta, against the closed form's."""
-    problem = jc.Problem(
-        cranks(),
-        lambda run: run.coordinate("foot 2")[-1],
-        {"g": jc.Variable(lambda m: m.loads["gravity"].acceleration[1], tolerance=1.0)},
-        duration=0.3,
-        save=2,
-        integrator=jc.integrator.FixedStep(1e-3),
-    )
-    found = jax.jit(jax.jacfwd(lambda g: problem.evaluate(g).responses["response"]))(
-        jnp.array([-GRAVITY])
-    )
+    end = lambda run: run.coordinate("foot 2")[-1]
+    varied = {"g": jc.Variable(lambda m: m.loads["gravity"].acceleration[1], tolerance=1.0)}
+    how = {"duration": 0.3, "save": 2, "integrator": jc.integrator.FixedStep(1e-3)}
+    problem = jc.Problem(cranks(), end, varied, **how)
+    turned = lambda g: problem.evaluate(g).responses["response"]
+    found = jax.jit(jax.jacfwd(turned))(jnp.array([-GRAVITY]))
     ends = [angle(np.array([0.3]), GRAVITY + d)[0, -1] for d in (-1e-4, 1e-4)]
     np.testing.assert_allclose(found[0], -(ends[1] - ends[0]) / 2e-4, rtol=1e-6)
 
@@ -263,12 +228,7 @@ def test_friction_that_would_follow_an_open_reaction_is_refused():
 @pytest.mark.slow
 def test_parallel_hinges_in_space_move_as_pins_in_the_plane():
     """Four hinges whose axes are parallel, all places with three coordinates."""
-    run = jc.simulate(
-        parallel_cranks(COUNT, spatial=True, start={"foot 0": ANGLE}, guess=NEARBY),
-        0.5,
-        save=26,
-        integrator=PRECISE,
-    )
+    run = jc.simulate(cranks(spatial=True), 0.5, save=26, integrator=PRECISE)
     assert ("top 1", "z") in run.mechanism.topology.redundancy.rows
     assert off(run) < 1e-9
 
@@ -302,18 +262,13 @@ def test_bennett_linkage_keeps_the_equation_between_its_angles():
     opposite angles make up a turn (Bennett 1903, Engineering 76, 777); 10 s."""
     ratio = -np.sin((BETA + ALPHA) / 2) / np.sin((BETA - ALPHA) / 2)
     second = 2 * np.arctan(ratio / np.tan(0.4))
-    rig = ring(
-        [A, B, A, B],
-        [ALPHA, BETA, ALPHA, BETA],
-        start={"1": 0.8},
-        guess={"2": second, "3": -0.8, "0": -second},
-    )
+    near = {"2": second, "3": -0.8, "0": -second}
+    rig = ring([A, B, A, B], [ALPHA, BETA, ALPHA, BETA], start={"1": 0.8}, guess=near)
     run = jc.simulate(rig, 10.0, save=501, integrator=PRECISE, balance=True)
     assert run.mechanism.topology.redundancy.rank == 2
     first, second, fourth = (np.asarray(run.coordinate(name)) for name in "120")
-    product = np.sin(first / 2) * np.sin(second / 2) - ratio * np.cos(first / 2) * np.cos(
-        second / 2
-    )
+    halves = first / 2, second / 2
+    product = np.prod(np.sin(halves), axis=0) - ratio * np.prod(np.cos(halves), axis=0)
     assert B * np.abs(product).max() < 1e-6
     assert B * np.abs(np.sin((second + fourth) / 2)).max() < 1e-6
     assert np.abs(run.energy_balance().error).max() < 1e-9
@@ -327,12 +282,8 @@ def test_bricard_linkage_keeps_the_equation_between_its_angles():
     theta = 1.0
     phi = np.arccos(-np.cos(theta) / (1 + np.cos(theta)))
     angles = {name: (theta, phi)[i % 2] for i, name in enumerate("123450")}
-    rig = ring(
-        [0.1] * 6,
-        [np.pi / 2, -np.pi / 2] * 3,
-        start={"1": angles.pop("1")},
-        guess=angles,
-    )
+    twists, start = [np.pi / 2, -np.pi / 2] * 3, {"1": angles.pop("1")}
+    rig = ring([0.1] * 6, twists, start=start, guess=angles)
     run = jc.simulate(rig, 10.0, save=501, integrator=PRECISE, balance=True)
     assert run.mechanism.topology.redundancy.rank == 4
     first, second, third = (np.asarray(run.coordinate(name)) for name in "123")

@@ -1,8 +1,7 @@
 """Motion without contact against closed forms: pendulum, free rigid body, and the derivative of a
 pendulum's place.
 
-Bounds are a few times the integrator's rtol of 1e-11 over the run.
-"""
+Bounds are a few times the integrator's rtol of 1e-11 over the run."""
 
 import jax
 import jax.numpy as jnp
@@ -20,8 +19,7 @@ PRECISE = {"rtol": 1e-11, "atol": 1e-13}
 
 def pendulum(length, angle):
     """A bar of 2 kg held at one end, centre at half of the length; `angle` from the downward
-    vertical.
-    """
+    vertical."""
     bar = jc.Body(2.0, 2.0 * length**2 / 12, (0.0, -0.5 * length))
     return jc.Mechanism(
         {"bar": bar},
@@ -33,8 +31,7 @@ def pendulum(length, angle):
 
 def test_pendulum_has_the_period_of_the_elliptic_integral():
     """q = 2 asin(k sn(K - w t, k)), k = sin(q0/2), w^2 = g/(2 L/3): swings of 170 degrees, one
-    period.
-    """
+    period."""
     length, angle = 0.8, np.deg2rad(170.0)
     k, w = np.sin(angle / 2), np.sqrt(GRAVITY / (2 * length / 3))
     quarter = ellipk(k * k) / w
@@ -56,8 +53,7 @@ def spinning_box(spin):
 
 def test_free_body_spins_as_euler_s_equations_say():
     """Body-axis spin by Jacobi's functions (Landau & Lifshitz, Mechanics, par. 37), momentum and
-    energy kept.
-    """
+    energy kept."""
     inertia = np.array([1.0, 2.0, 2.5])
     energy2, momentum2 = (
         30.0,
@@ -101,8 +97,7 @@ def pendulum_by_length(length, angle, time):
 
 def test_derivative_of_a_pendulum_s_tip_by_its_length():
     """Place of the tip (L sin q, -L cos q) after 1 s, by L, forward through 1000 Runge-Kutta steps:
-    1e-8 m/m.
-    """
+    1e-8 m/m."""
     length, angle = 0.8, 2.0
 
     def tip(length):
@@ -136,8 +131,7 @@ def test_reverse_derivative_through_fixed_steps_is_the_forward_one():
 
 def test_steps_that_divide_the_interval_reach_its_end():
     """10 000 steps of the largest size fill the interval but for a remainder of rounding: no
-    failure.
-    """
+    failure."""
     fine = jc.integrator.Adaptive(largest_step=1e-6)
     times = [1e-2, 2e-2, 3e-2]
     assert jc.simulate(pendulum(0.8, 0.1), times[-1], save=times, integrator=fine).succeeded

@@ -54,8 +54,8 @@ def crescent(depth):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("angle", [pytest.param(0.0, marks=pytest.mark.slow), 0.31])
-@pytest.mark.parametrize("depth", [pytest.param(2e-6, marks=pytest.mark.slow), 30e-6, 3e-4])
+@pytest.mark.parametrize("angle", [0.0, 0.31])
+@pytest.mark.parametrize("depth", [2e-6, 30e-6, 3e-4])
 def test_a_pin_pressed_one_way_wears_the_area_between_two_circles(depth, angle):
     volume = crescent(depth)
     found = worn_by(cylinder(240), volume, pressed(angle))
@@ -102,14 +102,7 @@ def still(direction, overlap=0.0):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "towards",
-    [
-        pytest.param((1.0, 0.2, 0.1), marks=pytest.mark.slow),
-        (0.0, 0.0, 1.0),
-        pytest.param((0.1, 0.0, 1.0), marks=pytest.mark.slow),
-    ],
-)
+@pytest.mark.parametrize("towards", [(1.0, 0.2, 0.1), (0.0, 0.0, 1.0), (0.1, 0.0, 1.0)])
 def test_a_ball_first_wears_a_circle_as_hertz_has_it(towards):
     """Also at a pole of the map, where the cells are smallest."""
     overlap, wear_map = 2e-6, SphereMap((240, 120), RADIUS, CLEARANCE)
@@ -199,21 +192,17 @@ def ball_moved(saves, way, fine=20_000):
 @pytest.mark.slow
 @pytest.mark.parametrize("way, within", [("arc", 5e-3), ("eight", 1e-2)])
 def test_depth_of_a_ball_is_the_same_at_any_number_of_saves(way, within):
-    """An arc is known from mean products of directions, a bend of the way within one is not."""
+    """An arc is known from mean products of directions, a bend of the way within one is not. Nor do
+    cells that resolve no arc, down to arcs of a hundredth of one, hang on it."""
     wear_map = SphereMap((96, 48), RADIUS, CLEARANCE)
     wanted, areas = np.asarray(_worn(wear_map, *ball_moved(2000, way))), wear_map.areas()
     for saves in (50, 100, 500):
         found = np.asarray(_worn(wear_map, *ball_moved(saves, way)))
         np.testing.assert_allclose(found.max(), wanted.max(), rtol=5e-3)
         assert np.sum(np.abs(found - wanted) * areas) < within * np.sum(wanted * areas)
-
-
-@pytest.mark.slow
-def test_depth_of_a_ball_on_coarse_cells_is_the_same_at_any_number_of_saves():
-    """Cells that resolve no arc, down to arcs of a hundredth of one, were worn 3.5 % less deep."""
-    wear_map = SphereMap((36, 18), RADIUS, CLEARANCE)
-    deepest = [np.max(_worn(wear_map, *ball_moved(saves, "eight"))) for saves in (50, 500, 2000)]
-    assert max(deepest) < 1.01 * min(deepest)
+    coarse = SphereMap((36, 18), RADIUS, CLEARANCE)
+    deepest = [np.max(_worn(coarse, *ball_moved(saves, way))) for saves in (50, 500, 2000)]
+    assert way == "arc" or max(deepest) < 1.01 * min(deepest)
 
 
 @pytest.mark.parametrize("saves", [1, 24, pytest.param(100, marks=pytest.mark.slow)])
@@ -241,12 +230,9 @@ def test_a_ball_in_full_turn_wears_a_groove_that_is_its_own_circle():
     wear_map, saves, turns = SphereMap((96, 121), RADIUS, CLEARANCE), 60, 4
     depth = 20e-6
     profile = lambda e, d: max((CLEARANCE + d) * math.cos(e) - CLEARANCE, 0.0)
-    groove = lambda d: (
-        4
-        * math.pi
-        * RADIUS**2
-        * quad(lambda e: profile(e, d) * math.cos(e), 0, math.acos(CLEARANCE / (CLEARANCE + d)))[0]
-    )
+    half = lambda d: math.acos(CLEARANCE / (CLEARANCE + d))
+    across = lambda d: quad(lambda e: profile(e, d) * math.cos(e), 0, half(d))[0]
+    groove = lambda d: 4 * math.pi * RADIUS**2 * across(d)
     volume = groove(depth)
     assert brentq(lambda d: groove(d) - volume, 1e-6, 1e-4) == pytest.approx(depth)
     angles = (np.arange(saves * turns * 40) + 0.5) * 2 * np.pi / saves / 40
@@ -299,9 +285,8 @@ def turning_ring(cells, clearance=CLEARANCE, acceleration=1.0):
 
 @pytest.mark.slow
 def test_a_ring_that_turns_about_a_loaded_journal_wears_evenly_and_by_archard():
-    run = jc.simulate(
-        turning_ring((72, 1)), 0.3, save=151, integrator=jc.integrator.ImplicitStep(1e-4)
-    )
+    steps = jc.integrator.ImplicitStep(1e-4)
+    run = jc.simulate(turning_ring((72, 1)), 0.3, save=151, integrator=steps)
     depth = run.worn_depth("B", "bearing")
     volume = float(run.worn_volume("B", "bearing")[-1])
     law = jc.wear.Archard()
@@ -320,8 +305,7 @@ def test_a_socket_that_turns_about_a_loaded_ball_wears_hertz_contact_drawn_aroun
     R sqrt(d/c), whose pressure goes with sqrt(1 - (x^2 + y^2)/a^2). A turn draws it along x around
     the socket: across, its integral is as 1 - (y/a)^2. Archard's volume k F s/H over a circle of
     2 pi R and over 4/3 a, the area of that parabola beside its height, is the depth in the middle:
-    3 V/(8 pi R a). The deepest cells hold the mean of the parabola over a row beside the middle.
-    """
+    3 V/(8 pi R a). The deepest cells hold the mean of the parabola over a row beside the middle."""
     load, stiffness, speed, rate = 100.0, 1e10, 20 * math.pi, 200.0
     joint = jc.clearance.BallSocket(
         jc.contact.HuntCrossley(stiffness=stiffness, restitution=0.1),

@@ -24,6 +24,10 @@ def axes_of(count, space=False):
     return figure.subplots(1, count, squeeze=False, subplot_kw=kind).ravel()
 
 
+def pointing(run):
+    return jc.pointing_error(run, "slider", through=("A", "B"))
+
+
 # Every figure of a run: how it is asked for, panels, and whether it is in space.
 OF_RUNS = {
     "angular_velocity": (lambda run, **k: plot.angular_velocity(run, run, "rod", **k), 2),
@@ -38,12 +42,7 @@ OF_RUNS = {
     "path": (lambda run, **k: plot.path(run, "rod", jc.Marker("rod", (0.06, 0.02)), **k), 1),
     "phase_portrait": (lambda run, **k: plot.phase_portrait(run, "slider", **k), 1),
     "poincare_section": (lambda run, **k: plot.poincare_section(run, "B", period=PERIOD, **k), 1),
-    "pointing_budget": (
-        lambda run, **k: plot.pointing_budget(
-            jc.pointing_error(run, "slider", through=("A", "B")), **k
-        ),
-        4,
-    ),
+    "pointing_budget": (lambda run, **k: plot.pointing_budget(pointing(run), **k), 4),
     "spectrum": (lambda run, **k: plot.spectrum(run, "B", "force", period=PERIOD, **k), 1),
     "wear_surface": (lambda run, **k: plot.wear_surface(run, "B", **k), 1),
     "wear_unrolled": (lambda run, **k: plot.wear_unrolled(run, "B", **k), 2),
@@ -107,6 +106,7 @@ def test_the_rate_of_a_signal_is_its_slope(run):
 
 
 def test_a_motion_that_repeats_is_one_point_of_its_section():
+    """Every second period is two."""
     time = np.linspace(0.0, 5.0, 1001)
     turn = 2 * np.pi * time
     own = TimeCurve(time, np.sin(turn), 2 * np.pi * np.cos(turn), "m", "x", "velocity x")
@@ -114,9 +114,6 @@ def test_a_motion_that_repeats_is_one_point_of_its_section():
     assert len(times) == 5
     np.testing.assert_allclose(values, np.sin(0.6 * np.pi), atol=1e-7)
     np.testing.assert_allclose(rates, 2 * np.pi * np.cos(0.6 * np.pi), atol=1e-5)
-
-
-def test_every_second_period_is_two_points_of_its_section():
     time = np.linspace(0.0, 8.0, 3001)
     own = TimeCurve(time, np.sin(np.pi * time), np.pi * np.cos(np.pi * time), "m", "x", "")
     _, values, _ = at_periods(own, 1.0, 0.5, 8.0)
@@ -130,9 +127,6 @@ def test_a_spectrum_holds_the_power_of_its_tone():
     frequency, density = spectral_density(time, values, 3)
     assert frequency[density.argmax()] == pytest.approx(40.0, abs=0.5)
     assert np.trapezoid(density, frequency) == pytest.approx(0.5 * 0.7**2, rel=0.01)
-
-
-def test_uneven_saves_have_no_spectrum():
     with pytest.raises(ValueError, match="evenly spread"):
         spectral_density(np.linspace(0, 1, 50) ** 2, np.zeros(50), 3)
 

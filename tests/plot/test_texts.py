@@ -2,8 +2,7 @@
 of 1e6 N, 3 and 3000 samples, long names.
 
 Every function of `jaxclear.plot` that draws has its cases here. Lives, designs and advice, which
-take long, are made up: a figure reads the same of them.
-"""
+take long, are made up: a figure reads the same of them."""
 
 import functools
 from types import SimpleNamespace
@@ -283,33 +282,47 @@ def drawn():
     return jc.Drawing(rig, lines)
 
 
+WIDE = np.linspace(1e-3, 1.1e-3, 5)
+
+
+def largest():
+    limit = jc.limit.Quantile(FORCE, at_most=1e6, share=0.95)
+    return plot.largest(jc.largest(problem(), CLEARANCE, limit, (1e-4, 3e-4)))
+
+
+def corrected():
+    found = jc.corrected_statistics(jc.surface(problem()), 8, limits={"sunk": SUNK})
+    return plot.corrected_statistics(found)
+
+
+def remaining():
+    records = {0: identified(problem()), 1e6: identified(problem())}
+    return plot.remaining_life(jc.remaining_life(records, CLEARANCE, 1.0))
+
+
+def displaced():
+    runs = {f"clearance {k} of {JOINT}": run() for k in range(5)}
+    return plot.displacement(runs, run(), SLIDER)
+
+
+def cheaper():
+    other = problem(lambda **sizes: stack(**sizes))
+    return plot.multi_fidelity(jc.multi_fidelity(problem(), other, 256))
+
+
+def swept(**over):
+    names = {"clearance": CLEARANCE, "speed": SPEED}
+    return plot.sweep(jc.sweep(problem(), {names[name]: own for name, own in over.items()}))
+
+
 CASES = {
     "angular_velocity": [lambda: plot.angular_velocity(run(), run(), ROD, f"with a loose {JOINT}")],
-    "bifurcation": [
-        lambda: plot.bifurcation({2e-4: run(), 2.1e-4: run()}, SLIDER, period=PERIOD),
-    ],
-    "corrected_statistics": [
-        lambda: plot.corrected_statistics(
-            jc.corrected_statistics(jc.surface(problem()), 8, limits={"sunk": SUNK})
-        )
-    ],
+    "bifurcation": [lambda: plot.bifurcation({2e-4: run(), 2.1e-4: run()}, SLIDER, period=PERIOD)],
+    "corrected_statistics": [corrected],
     "design": [lambda: plot.design(designed())],
-    "largest": [
-        lambda: plot.largest(
-            jc.largest(
-                problem(),
-                problem().names[0],
-                jc.limit.Quantile(problem().response_names[0], at_most=1e6, share=0.95),
-                (1e-4, 3e-4),
-            )
-        )
-    ],
+    "largest": [largest],
     "pareto_front": [lambda: plot.pareto_front([designed(), designed(2.0)])],
-    "displacement": [
-        lambda: plot.displacement(
-            {f"clearance {k} of {JOINT}": run() for k in range(5)}, run(), SLIDER
-        )
-    ],
+    "displacement": [displaced],
     "drawing": [lambda: plot.drawing(drawn())],
     "error_budget": [lambda: plot.error_budget(sample(3000))],
     "hysteresis": [lambda: plot.hysteresis(run(), JOINT)],
@@ -323,18 +336,8 @@ CASES = {
         lambda: plot.monte_carlo(narrow(3000)),
     ],
     "identification": [lambda: plot.identification(identified(problem()))],
-    "remaining_life": [
-        lambda: plot.remaining_life(
-            jc.remaining_life(
-                {0: identified(problem()), 1e6: identified(problem())}, problem().names[0], 1.0
-            )
-        )
-    ],
-    "multi_fidelity": [
-        lambda: plot.multi_fidelity(
-            jc.multi_fidelity(problem(), problem(lambda **sizes: stack(**sizes)), 256)
-        )
-    ],
+    "remaining_life": [remaining],
+    "multi_fidelity": [cheaper],
     "overview": [lambda: plot.overview(run())],
     "path": [lambda: plot.path(run(), SLIDER, jc.Marker(SLIDER, (1e-3, 0.0)))],
     "phase_portrait": [lambda: plot.phase_portrait(run(), SLIDER)],
@@ -354,13 +357,9 @@ CASES = {
     "spectrum": [lambda: plot.spectrum(run(), JOINT, "force", period=PERIOD)],
     "surface": [lambda: plot.surface(jc.surface(problem()))],
     "sweep": [
-        lambda: plot.sweep(jc.sweep(problem(), {CLEARANCE: np.linspace(1e-3, 1.1e-3, 5)})),
-        lambda: plot.sweep(
-            jc.sweep(problem(), {CLEARANCE: np.linspace(1e-3, 1.1e-3, 5), SPEED: [1e-3, 2e-3]})
-        ),
-        lambda: plot.sweep(
-            jc.sweep(problem(), {CLEARANCE: [1e-3, 2e-3], SPEED: np.linspace(1e-3, 2e-3, 9)})
-        ),
+        lambda: swept(clearance=WIDE),
+        lambda: swept(clearance=WIDE, speed=[1e-3, 2e-3]),
+        lambda: swept(clearance=[1e-3, 2e-3], speed=np.linspace(1e-3, 2e-3, 9)),
     ],
     "wear_life": [lambda: plot.wear_life(life())],
     "wear_life_sample": [lambda: plot.wear_life_sample(lives())],

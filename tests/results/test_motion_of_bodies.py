@@ -1,6 +1,4 @@
-"""Motion that is read from a run: coordinates, accelerations of bodies and markers against closed
-forms and against rates of velocities, one run of a batch, data as a tree.
-"""
+"""Motion that is read from a run, against closed forms and rates of velocities."""
 
 import copy
 import pickle
@@ -51,27 +49,10 @@ def test_a_pendulum_accelerates_as_its_moments_say(swing):
     np.testing.assert_allclose(2.0 * body.acceleration, force, **EXACT)
 
 
-def test_a_path_is_a_table_of_places_over_time(driven, tmp_path):
-    """Of a crank's pin the circle, with units; of a body's name its centre of mass."""
-    table = driven.path(jc.Marker("crank", (CRANK, 0.0)))
-    angle = SPEED * np.asarray(driven.time)
-    tip = CRANK * np.stack([np.cos(angle), np.sin(angle), 0 * angle], 1)
-    np.testing.assert_allclose(np.asarray(table), tip, **EXACT)
-    assert list(table.columns) == ["x [m]", "y [m]", "z [m]"] and table.index.name == "time [s]"
-    np.testing.assert_array_equal(driven.path("rod"), driven.body("rod").com)
-    table.to_csv(tmp_path / "path.csv")
-    with open(tmp_path / "path.csv") as file:
-        assert file.readline() == "time [s],x [m],y [m],z [m]\n"
-    with pytest.raises(ValueError, match='no body "bar"'):
-        driven.path("bar")
-    with pytest.raises(ValueError, match="the point of a path is 3"):
-        driven.path(3)
-    with pytest.raises(AttributeError, match=r"run\.path\(marker\)"):
-        driven.position  # noqa: B018
-
-
-def test_an_accelerometer_on_a_turning_crank_reads_the_centripetal_acceleration(driven):
-    marker = driven.marker(jc.Marker("crank", (CRANK, 0.0)))
+def test_an_accelerometer_on_a_turning_crank_reads_the_centripetal_acceleration(driven, tmp_path):
+    """And its path is a table of places over time, with units: a circle."""
+    pin = jc.Marker("crank", (CRANK, 0.0))
+    marker, table = driven.marker(pin), driven.path(pin)
     angle = SPEED * np.asarray(driven.time)
     tip = CRANK * np.stack([np.cos(angle), np.sin(angle), 0 * angle], 1)
     turned = CRANK * SPEED * np.stack([-np.sin(angle), np.cos(angle), 0 * angle], 1)
@@ -83,6 +64,12 @@ def test_an_accelerometer_on_a_turning_crank_reads_the_centripetal_acceleration(
     np.testing.assert_allclose(marker.specific_force, np.stack(felt, 1), **EXACT)
     turned = jc.Marker("crank", (CRANK, 0.0), axis="x")
     np.testing.assert_allclose(driven.marker(turned).specific_force[:, 2], felt[0], **EXACT)
+    np.testing.assert_allclose(np.asarray(table), tip, **EXACT)
+    assert list(table.columns) == ["x [m]", "y [m]", "z [m]"] and table.index.name == "time [s]"
+    np.testing.assert_array_equal(driven.path("rod"), driven.body("rod").com)
+    table.to_csv(tmp_path / "path.csv")
+    first, *_ = (tmp_path / "path.csv").read_text().splitlines()
+    assert first == "time [s],x [m],y [m],z [m]"
 
 
 def test_a_slider_accelerates_as_its_crank_drives_it(driven):
@@ -144,13 +131,6 @@ def test_contact_forces_that_are_means_give_mean_accelerations():
     np.testing.assert_allclose(slider.acceleration[1:, 0], gained, atol=0.02 * np.abs(gained).max())
 
 
-def test_a_marker_is_placed_once(swing):
-    with pytest.raises(ValueError, match='a marker on "rod" has its place; leave `at` out'):
-        swing.marker(jc.Marker("rod", (0.1, 0.0)), (0.2, 0.0))
-    with pytest.raises(ValueError, match='no body "ground"'):
-        swing.marker("ground", (0.1, 0.0))
-
-
 def test_accelerations_differentiate():
     def pull(length):
         run = jc.simulate(pendulum(length), 0.1, save=3, throw=False)
@@ -163,24 +143,31 @@ def test_accelerations_differentiate():
     assert float(slope) == pytest.approx(wanted)
 
 
-def test_coordinates_are_over_time_alone(swing):
-    assert swing.coordinate("pin").shape == swing.speed("pin").shape == swing.time.shape
-
-
-def test_a_driven_joint_moves_as_its_drive(driven):
+def test_a_driven_joint_moves_as_its_drive(driven, swing):
     np.testing.assert_allclose(driven.coordinate("O"), SPEED * driven.time)
     np.testing.assert_array_equal(driven.speed("O"), np.full(21, SPEED))
     assert float(jc.response.FinalCoordinate("O")(driven)) == pytest.approx(0.1 * SPEED)
-    with pytest.raises(ValueError, match='"O" has 1 coordinates; the index'):
-        jc.response.FinalCoordinate("O", 1)(driven)
+    assert swing.coordinate("pin").shape == swing.speed("pin").shape == swing.time.shape
 
 
-def test_a_joint_without_coordinates_says_so(driven):
-    with pytest.raises(ValueError, match='"B" carries no coordinates: it has clearance, closes'):
-        driven.coordinate("B")
+def test_what_a_run_does_not_hold_is_said(driven, swing):
     welded = pendulum().with_joint("pin", jc.joint.Fixed())
-    with pytest.raises(ValueError, match='"pin" carries no coordinates: .* is welded'):
-        jc.simulate(welded, 0.1, save=2).speed("pin")
+    marker = jc.Marker("rod", (0.1, 0.0))
+    for sentence, read in {
+        'a marker on "rod" has its place; leave `at` out': lambda: swing.marker(marker, (0.2, 0.0)),
+        'no body "ground"': lambda: swing.marker("ground", (0.1, 0.0)),
+        'no body "bar"': lambda: driven.path("bar"),
+        "the point of a path is 3": lambda: driven.path(3),
+        '"B" carries no coordinates: it has clearance, closes': lambda: driven.coordinate("B"),
+        '"pin" carries no coordinates: .* is welded': lambda: jc.simulate(
+            welded, 0.1, save=2
+        ).speed("pin"),
+        '"O" has 1 coordinates; the index': lambda: jc.response.FinalCoordinate("O", 1)(driven),
+    }.items():
+        with pytest.raises(ValueError, match=sentence):
+            read()
+    with pytest.raises(AttributeError, match=r"run\.path\(marker\)"):
+        driven.position  # noqa: B018
 
 
 @pytest.fixture(scope="module")
@@ -192,11 +179,8 @@ def batch():
 def test_one_run_of_a_batch_is_read_as_any_other(batch, swing):
     one = batch[1]
     np.testing.assert_allclose(one.body("rod").com, swing.body("rod").com, rtol=1e-9, atol=1e-9)
-    np.testing.assert_allclose(
-        one.marker("rod", (0.1, 0.0)).acceleration,
-        swing.marker("rod", (0.1, 0.0)).acceleration,
-        atol=1e-6,
-    )
+    felt = (run.marker("rod", (0.1, 0.0)).acceleration for run in (one, swing))
+    np.testing.assert_allclose(*felt, atol=1e-6)
     assert one.result == "The run reached its end." and "rod" in one.to_dataset()
     assert [float(own.mechanism.bodies["rod"].com[0]) for own in batch] == [0.2, LENGTH, 0.4]
     assert str(batch) == "A batch of 3 runs, of which 3 reached their end; run[i] is one."
@@ -208,9 +192,8 @@ def test_one_run_of_a_batch_is_read_as_any_other(batch, swing):
         swing[0]
 
 
-@pytest.mark.parametrize(
-    "read",
-    [
+def test_a_batch_says_how_it_is_read(batch):
+    for read in (
         lambda runs: runs.body("rod"),
         lambda runs: runs.coordinate("pin"),
         lambda runs: runs.reaction("pin"),
@@ -222,11 +205,9 @@ def test_one_run_of_a_batch_is_read_as_any_other(batch, swing):
         lambda runs: runs.to_dataset(),
         lambda runs: runs.estimate(jc.response.FinalCoordinate("pin")),
         jc.response.FinalCoordinate("pin"),
-    ],
-)
-def test_a_batch_says_how_it_is_read(batch, read):
-    with pytest.raises(ValueError, match=r"a batch of 3 runs: take one of them, run\[i\]"):
-        read(batch)
+    ):
+        with pytest.raises(ValueError, match=r"a batch of 3 runs: take one of them, run\[i\]"):
+            read(batch)
 
 
 def test_evaluate_compiles_and_keeps_its_program():
@@ -239,13 +220,12 @@ def test_evaluate_compiles_and_keeps_its_program():
     length = jc.Variable(lambda rig: rig.bodies["rod"].com[0], tolerance=0.01)
     problem = jc.Problem(pendulum(), end, {"length": length}, duration=0.1, save=3)
     compiled, nominal = jax.jit(problem.evaluate), problem.nominal()
-    first = compiled(nominal).responses["response"]
+    first = float(compiled(nominal).responses["response"])
     often = len(traced)
-    assert float(first) == pytest.approx(
-        float(problem.evaluate(nominal).responses["response"]), rel=1e-12
-    )
+    alone = float(problem.evaluate(nominal).responses["response"])
+    assert first == pytest.approx(alone, rel=1e-12)
     again = len(traced)
-    assert float(compiled(nominal + 0.01).responses["response"]) != float(first)
+    assert float(compiled(nominal + 0.01).responses["response"]) != first
     assert len(traced) == again and often > 0
 
 

@@ -4,8 +4,7 @@ numbers.
 `Antenna`: three free bodies by Newton and Euler, held together by multipliers (maximal coordinates,
 rotation matrices, RK4), joints rubbing with arm x sum over the bearing's ends of sin(atan mu) |R|.
 It slides only; it knows no sticking. `pendulum`: a link on a rubbing pin in the plane, stick and
-slip as phases between located events.
-"""
+slip as phases between located events."""
 
 import numpy as np
 from scipy.integrate import solve_ivp
@@ -17,8 +16,7 @@ def skew(a):
 
 class Antenna:
     """The bodies of a jaxclear antenna. `ends`: 1 for a planar bearing, 2 for a spatial one.
-    `mu(slip speed)`.
-    """
+    `mu(slip speed)`."""
 
     names = ("satellite", "link1", "link2")
 
@@ -26,9 +24,7 @@ class Antenna:
         bodies = [rig.bodies[name] for name in self.names]
         self.mass = [float(b.mass) for b in bodies]
         self.inertia = [np.diag([float(x) for x in b.inertia]) for b in bodies]
-        com = [
-            np.zeros(3) if b.com is None else np.array([float(x) for x in b.com]) for b in bodies
-        ]
+        com = [np.zeros(3) if b.com is None else np.array(list(map(float, b.com))) for b in bodies]
         self.torques, self.mu, self.ends = torques, mu, ends
         bearing = rig.connections["J1"].joint
         self.radius = float(bearing.bearing_radius - bearing.clearance)
@@ -42,11 +38,9 @@ class Antenna:
         tops = [np.zeros(3)]
         for k, name in enumerate(("J1", "J2")):
             tops.append(tops[k] + [float(x) for x in rig.connections[name].parent.at])
-        self.start = np.concatenate(
-            [
-                np.concatenate([top + c, np.eye(3).ravel(), np.zeros(6)])
-                for top, c in zip(tops, com, strict=True)
-            ]
+        still = [*np.eye(3).ravel(), *np.zeros(6)]
+        self.start = np.array(
+            [x for t, c in zip(tops, com, strict=True) for x in (*(t + c), *still)]
         )
 
     def unpack(self, state):
@@ -86,9 +80,8 @@ class Antenna:
         for _ in range(50):
             before = friction
             found = base + sum(f * unit for f, unit in zip(friction, units, strict=True))
-            friction = np.array(
-                [self._friction(found[18 + 5 * k :], axes[k], slips[k]) for k in range(2)]
-            )
+            rubbing = (self._friction(found[18 + 5 * k :], axes[k], slips[k]) for k in range(2))
+            friction = np.array(list(rubbing))
             if np.abs(friction - before).max() < 1e-14:
                 break
         self.friction = friction
@@ -102,11 +95,8 @@ class Antenna:
         force, torque = multipliers[:3], multipliers[3] * n1 + multipliers[4] * n2
         across = force - (force @ n) * n
         pair = np.cross(torque, n) / self.length
-        sizes = (
-            np.linalg.norm(across)
-            if self.ends == 1
-            else sum(np.linalg.norm(across / 2 + s * pair) for s in (-1, 1))
-        )
+        ends = [across] if self.ends == 1 else [across / 2 + s * pair for s in (-1, 1)]
+        sizes = sum(map(np.linalg.norm, ends))
         mu = self.mu(abs(slip))
         return -np.sign(slip) * self.radius * mu / np.sqrt(1 + mu * mu) * sizes
 
@@ -145,11 +135,8 @@ def pendulum(mass, inertia, arm, radius, mu_kinetic, mu_static, weight, torque, 
     def acceleration(time, angle, speed, sign):
         found = 0.0
         for _ in range(60):
-            found = (
-                torque(time)
-                - weight * arm * np.sin(angle)
-                - sign * grip(mu_kinetic) * load(angle, speed, found)
-            ) / about
+            rubs = sign * grip(mu_kinetic) * load(angle, speed, found)
+            found = (demand(time, angle) - rubs) / about
         return found
 
     def demand(time, angle):
@@ -165,28 +152,14 @@ def pendulum(mass, inertia, arm, radius, mu_kinetic, mu_static, weight, torque, 
             sticks += 1
             event = lambda t, y, angle=angle: breaks(t, angle)
             event.terminal, event.direction = True, 1
-            phase = solve_ivp(
-                lambda t, y: [0.0, 0.0],
-                (time, end),
-                [angle, 0.0],
-                events=event,
-                dense_output=True,
-                max_step=1e-2,
-            )
+            rate, start, how = (lambda t, y: [0.0, 0.0]), [angle, 0.0], {"max_step": 1e-2}
         else:
             sign = np.sign(demand(time, angle))
             event = lambda t, y: y[1]
             event.terminal, event.direction = True, -sign
-            slide = lambda t, y, sign=sign: [y[1], acceleration(t, *y, sign)]
-            phase = solve_ivp(
-                slide,
-                (time, end),
-                [angle, sign * 1e-12],
-                events=event,
-                dense_output=True,
-                rtol=1e-10,
-                atol=1e-12,
-            )
+            rate = lambda t, y, sign=sign: [y[1], acceleration(t, *y, sign)]
+            start, how = [angle, sign * 1e-12], {"rtol": 1e-10, "atol": 1e-12}
+        phase = solve_ivp(rate, (time, end), start, events=event, dense_output=True, **how)
         inside = (times >= time) & (times <= phase.t[-1])
         filled[inside] = phase.sol(times[inside]).T
         time, angle = phase.t[-1], phase.y[0, -1]

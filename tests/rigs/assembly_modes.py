@@ -1,8 +1,7 @@
 """Linkages all of whose modes are known: by circles that meet, by the roots of one equation in one
 angle, and of a spatial four-bar in closed form. Dimensions are drawn from a generator.
 
-Places of bodies are (x, y, angle); in space a rocker's angle tells a mode.
-"""
+Places of bodies are (x, y, angle); in space a rocker's angle tells a mode."""
 
 from typing import NamedTuple
 
@@ -144,12 +143,9 @@ def platforms(feet, pivots, lengths):
         rows = 2 * (centres[1:] - centres[0])
         sides = np.sum(centres**2, axis=1) - lengths**2
         sides = sides[1:] - sides[0]
-        det = np.linalg.det(rows)
+        det, (one, other) = np.linalg.det(rows), rows
         found = np.array(
-            [
-                sides[0] * rows[1, 1] - sides[1] * rows[0, 1],
-                rows[0, 0] * sides[1] - rows[1, 0] * sides[0],
-            ]
+            [sides[0] * other[1] - sides[1] * one[1], one[0] * sides[1] - other[0] * sides[0]]
         )
         left = np.sum((found - det * centres[0]) ** 2) - (det * lengths[0]) ** 2
         return left, found / det
@@ -260,22 +256,15 @@ class Rssr(NamedTuple):
         """The mechanism, its crank held."""
         inertia = (1e-3, 1e-3, 1e-3)
         driven = REVOLUTE(drive=jc.drive.ConstantSpeed(0.0, self.angle))
-        ball = jc.joint.Spherical()
+        ball, end = jc.joint.Spherical(), lambda name: MARKER(name, (getattr(self, name), 0.0, 0.0))
+        feet = MARKER("ground", self.foot, axis="y"), MARKER("rocker", (0.0, 0.0, 0.0), axis="y")
         return jc.Mechanism(
             {name: jc.Body(1.0, inertia) for name in ("crank", "coupler", "rocker")},
             {
                 "O": jc.Connection(driven, "ground", "crank"),
-                "A": jc.Connection(ball, MARKER("crank", (self.crank, 0.0, 0.0)), "coupler"),
-                "B": jc.Connection(
-                    ball,
-                    MARKER("coupler", (self.coupler, 0.0, 0.0)),
-                    MARKER("rocker", (self.rocker, 0.0, 0.0)),
-                ),
-                "D": jc.Connection(
-                    REVOLUTE(),
-                    MARKER("ground", self.foot, axis="y"),
-                    MARKER("rocker", (0.0, 0.0, 0.0), axis="y"),
-                ),
+                "A": jc.Connection(ball, end("crank"), "coupler"),
+                "B": jc.Connection(ball, end("coupler"), end("rocker")),
+                "D": jc.Connection(REVOLUTE(), *feet),
             },
             guess=guess,
         )

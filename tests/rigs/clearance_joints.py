@@ -2,8 +2,7 @@
 hinged to it.
 
 The heavy body floats, so its coordinates are the pose of the journal in the bearing: any situation
-can be posed exactly.
-"""
+can be posed exactly."""
 
 from functools import cache
 
@@ -109,17 +108,10 @@ def ball_with_bristles(p):
 
 def guide(p):
     law = jc.contact.AdamsImpact(stiffness=p["stiffness"], damping=1e3, full_damping_depth=1e-6)
-    return jc.clearance.SliderGuide(
-        law,
-        jc.friction.AdamsStep(**_static(p, **_step(p))),
-        width=RADIUS,
-        length=LENGTH,
-        clearance=p["clearance"],
-        breadth=RADIUS,
-        guide_length=20 * LENGTH,
-        guide_wear=_wearing(),
-        slider_wear=_wearing(),
-    )
+    sizes = {"width": RADIUS, "length": LENGTH, "breadth": RADIUS, "guide_length": 20 * LENGTH}
+    wear = {"guide_wear": _wearing(), "slider_wear": _wearing()}
+    rub = jc.friction.AdamsStep(**_static(p, **_step(p)))
+    return jc.clearance.SliderGuide(law, rub, clearance=p["clearance"], **sizes, **wear)
 
 
 ROUND = (journal, journal_that_wears, journal_with_collars, ball, ball_with_bristles)
@@ -128,36 +120,26 @@ JOINTS = {joint.__name__: joint for joint in (planar, planar_conformal, *ROUND, 
 
 def build(kind, p):
     """The rig with parameters `p`; they may be traced."""
-    flat = kind.startswith("planar")
-    light = p["light_mass"]
-    bodies = {
-        "heavy": jc.Body(1.0, 1e-3 if flat else (1e-3, 2e-3, 1.5e-3)),
-        "light": jc.Body(
-            light,
-            light * 1e-3 if flat else tuple(light * x for x in (1e-3, 2e-3, 1.5e-3)),
-            com=(0.1, 0.02),
-        ),
-    }
+    flat, light = kind.startswith("planar"), p["light_mass"]
+    moments = 1e-3 if flat else (1e-3, 2e-3, 1.5e-3)
+    lighter = light * 1e-3 if flat else tuple(light * x for x in moments)
     place = (0.05, 0.0) if flat else (0.05, 0.0, 0.01)
-    connections = {
-        "B": jc.Connection(JOINTS[kind](p), "ground", "heavy"),
-        "hinge": jc.Connection(jc.joint.Revolute(), "heavy", "light", at=place),
-    }
+    weight = jc.load.Gravity((0.0, -9.81) if flat else (1.0, -9.81, 0.3))
     return jc.Mechanism(
-        bodies,
-        connections,
-        {"gravity": jc.load.Gravity((0.0, -9.81) if flat else (1.0, -9.81, 0.3))},
+        {"heavy": jc.Body(1.0, moments), "light": jc.Body(light, lighter, com=(0.1, 0.02))},
+        {
+            "B": jc.Connection(JOINTS[kind](p), "ground", "heavy"),
+            "hinge": jc.Connection(jc.joint.Revolute(), "heavy", "light", at=place),
+        },
+        {"gravity": weight},
     )
 
 
 def pattern(shape):
     """A worn surface with no symmetry, between 0 and 1."""
     i, j = np.indices(shape)
-    return (
-        0.5
-        + 0.3 * np.sin(1.0 + 2 * np.pi * i / shape[0])
-        + 0.2 * np.cos(2.0 + 3.0 * j + 4 * np.pi * i / shape[0])
-    )
+    around = 2 * np.pi * i / shape[0]
+    return 0.5 + 0.3 * np.sin(1.0 + around) + 0.2 * np.cos(2.0 + 3.0 * j + 2 * around)
 
 
 @cache
@@ -176,20 +158,12 @@ def rate(kind, p, state):
 
 def pose(kind, *, eccentricity, direction, height, tilt, tilt_direction, turn):
     """Coordinates of the heavy body: offset of length `eccentricity` in the bearing's plane, axis
-    tilted by `tilt`.
-    """
+    tilted by `tilt`."""
     x, y = eccentricity * np.cos(direction), eccentricity * np.sin(direction)
     if kind.startswith("planar"):
         return [x, y, turn]
     half = np.array([np.cos(tilt_direction), np.sin(tilt_direction), 0.0]) * np.sin(tilt / 2)
     a, b = np.cos(turn / 2), np.sin(turn / 2)
     w, v = np.cos(tilt / 2), half
-    return [
-        x,
-        y,
-        height,
-        w * a - v[2] * b,
-        v[0] * a + v[1] * b,
-        v[1] * a - v[0] * b,
-        v[2] * a + w * b,
-    ]
+    turned = [w * a - v[2] * b, v[0] * a + v[1] * b, v[1] * a - v[0] * b, v[2] * a + w * b]
+    return [x, y, height, *turned]

@@ -1,6 +1,5 @@
 """A journal that falls, slides and wears in its bearing: the mechanism that several tests of this
-room run.
-"""
+room run."""
 
 import jaxclear as jc
 

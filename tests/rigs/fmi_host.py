@@ -1,7 +1,6 @@
 """A host of FMI 3.0 units in Python's standard library alone: what a simulator of systems calls.
 
-`python -I -S fmi_host.py UNIT.fmu STEPS` runs a unit in a Python that finds no other library.
-"""
+`python -I -S fmi_host.py UNIT.fmu STEPS` runs a unit in a Python that finds no other library."""
 
 import ctypes
 import json

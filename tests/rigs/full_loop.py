@@ -5,8 +5,7 @@ import jaxclear as jc
 
 def full_loop(speed=10.0):
     """Clearance, friction with and without memory, wear, every kind of load, a drive, a loop and
-    its stabilisation.
-    """
+    its stabilisation."""
     law = jc.contact.CarvalhoMartins(stiffness=1e8, restitution=0.8)
     wear = jc.Wearing(jc.wear.Archard(wear_coefficient=1e-4, hardness=2e9), cells=(12, 1))
     bearing = jc.clearance.PlanarJournalBearing(law, jc.friction.LuGre(), bearing_wear=wear)

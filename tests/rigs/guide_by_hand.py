@@ -3,8 +3,7 @@
 Crank angle theta gives the slider's distance r from C, the guide's angle phi and their rates in
 closed form; Euler's equations of slider and guide give the resultant N across the guide and its
 moment M about the slider's centre, and with a ratio of friction to the corners' forces the forces n
-of the front and back corner.
-"""
+of the front and back corner."""
 
 import importlib
 
@@ -20,8 +19,7 @@ MU = 0.1
 
 def by_hand(angle, speed, acceleration, ratio):
     """Reactions for a crank's motion and a ratio of friction to the sum of the corners' forces; `n`
-    front and back corner.
-    """
+    front and back corner."""
     half = scene.GUIDE_ARM
     c, s, g = np.cos(angle), np.sin(angle), scene.GRAVITY
     tangent, inward = np.stack([-s, c]), np.stack([-c, -s])
@@ -73,8 +71,7 @@ def friction_problem(offset, slope, mu, slip, answer):
     a horizontal LCP.
 
     0 <= p perp m >= 0 at both corners, 0 <= s+ perp mu sum(p + m) + T >= 0, 0 <= s- perp mu sum(p +
-    m) - T >= 0. z: p, s+, the last one; w: m, the one before, s-.
-    """
+    m) - T >= 0. z: p, s+, the last one; w: m, the one before, s-."""
     w, z = np.zeros((4, 4)), np.zeros((4, 4))
     for k in range(2):
         # p - m - slope T = offset, with T = y - mu sum(p + m)
@@ -89,8 +86,7 @@ def friction_problem(offset, slope, mu, slip, answer):
 
 def solved(problem, mu):
     """Corner forces, friction and slip that Lemke finds, and how well they are complementary beside
-    the largest force.
-    """
+    the largest force."""
     found = lemke(problem)
     z, w = found.z, found.w
     total = (z[:2] + w[:2]).sum()

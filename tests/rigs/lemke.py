@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxclear.complementarity.problem import AbstractLinearProblem, posed
+from jaxclear.complementarity.problem import AbstractLinearProblem, as_linear_problem
 
 # An entry beside the largest of its column that is rounding; ratios that differ by less are a tie.
 SMALLEST_PIVOT, TIE = 1e-11, 1e-12
@@ -26,7 +26,7 @@ class Found(NamedTuple):
 
 def lemke(problem: AbstractLinearProblem) -> Found:
     """The solution of a problem; `ValueError` where the path ends in a ray."""
-    lcp = posed(problem)
+    lcp = as_linear_problem(problem)
     z, w = problem.from_lcp(pivoted(np.array(lcp.matrix), np.array(lcp.offset)))
     return Found(np.asarray(z), np.asarray(w), float(problem.residual(z, w)))
 

@@ -3,8 +3,7 @@ probabilities.
 
 Most are those of the Black-box Reliability Challenge 2019 of TNO (Rozsas & Slobbe, "RP" and their
 number). Components that the challenge puts together by min and max are limits of their own here,
-in series and parallel systems.
-"""
+in series and parallel systems."""
 
 import json
 from pathlib import Path
@@ -59,10 +58,8 @@ def buckled(x1, x2, x3, x4, x5, x6, x7):
 
 
 def stepped(x1, x2):
-    return {
-        "a": jnp.where(x1 <= 3.5, 0.85 - 0.1 * x1, 4 - x1),
-        "b": jnp.where(x2 <= 2.0, 2.3 - x2, 0.5 - 0.1 * x2),
-    }
+    first = jnp.where(x1 <= 3.5, 0.85 - 0.1 * x1, 4 - x1)
+    return {"a": first, "b": jnp.where(x2 <= 2.0, 2.3 - x2, 0.5 - 0.1 * x2)}
 
 
 def pressed(x1, x2, x3, x4, x5):
@@ -81,23 +78,14 @@ def cables(x1, x2, x3, x4, x5):
 
 
 def waves(x1, x2):
-    width = x1 - x2
-    return {
-        "a": 0.2 + 0.6 * width**4 - width / ROOT_2,
-        "b": 0.2 + 0.6 * width**4 + width / ROOT_2,
-        "c": width + 5 / ROOT_2 - 2.2,
-        "d": -width + 5 / ROOT_2 - 2.2,
-    }
+    width, far = x1 - x2, 5 / ROOT_2 - 2.2
+    bow, slope = 0.2 + 0.6 * width**4, width / ROOT_2
+    return {"a": bow - slope, "b": bow + slope, "c": far + width, "d": far - width}
 
 
 def four_branches(x1, x2):
-    bow = 3 + 0.1 * (x1 - x2) ** 2
-    return {
-        "a": bow - (x1 + x2) / ROOT_2,
-        "b": bow + (x1 + x2) / ROOT_2,
-        "c": x1 - x2 + 7 / ROOT_2,
-        "d": x2 - x1 + 7 / ROOT_2,
-    }
+    bow, along, far = 3 + 0.1 * (x1 - x2) ** 2, (x1 + x2) / ROOT_2, 7 / ROOT_2
+    return {"a": bow - along, "b": bow + along, "c": far + x1 - x2, "d": far + x2 - x1}
 
 
 def total(**x):
@@ -111,6 +99,10 @@ def bowl(**x):
 
 def below_zero(*names):
     return [Below(name, 0.0) for name in names]
+
+
+def in_series(*names):
+    return Series(*below_zero(*names))
 
 
 ALONE = Below("response", 0.0)
@@ -132,11 +124,7 @@ CASES = {
         ),
         ALONE,
     ),
-    "RP22": (
-        lambda x1, x2: 2.5 - (x1 + x2) / ROOT_2 + 0.1 * (x1 - x2) ** 2,
-        STANDARD,
-        ALONE,
-    ),
+    "RP22": (lambda x1, x2: 2.5 - (x1 + x2) / ROOT_2 + 0.1 * (x1 - x2) ** 2, STANDARD, ALONE),
     "RP24": (
         lambda x1, x2: 2.5 - 0.2357 * (x1 - x2) + 0.00463 * (x1 + x2 - 20) ** 4,
         numbered(normal(10, 3), normal(10, 3)),
@@ -156,15 +144,12 @@ CASES = {
     "RP33": (
         lambda x1, x2, x3: {"a": -x1 - x2 - x3 + 3 * ROOT_3, "b": 3 - x3 + 0 * x1 * x2},
         numbered(*[normal(0, 1)] * 3),
-        Series(*below_zero("a", "b")),
+        in_series("a", "b"),
     ),
     "RP35": (
-        lambda x1, x2: {
-            "a": 2 - x2 + jnp.exp(-0.1 * x1**2) + (0.2 * x1) ** 4,
-            "b": 4.5 - x1 * x2,
-        },
-        STANDARD,
-        Series(*below_zero("a", "b")),
+        lambda x, y: {"a": 2 - y + jnp.exp(-0.1 * x**2) + (0.2 * x) ** 4, "b": 4.5 - x * y},
+        {"x": normal(0, 1), "y": normal(0, 1)},
+        in_series("a", "b"),
     ),
     "RP38": (
         buckled,
@@ -178,16 +163,8 @@ CASES = {
         numbered(normal(1.5, 1), normal(2.5, 1)),
         ALONE,
     ),
-    "RP55": (
-        waves,
-        numbered(uniform(-1, 1), uniform(-1, 1)),
-        Series(*below_zero("a", "b", "c", "d")),
-    ),
-    "RP54": (
-        total,
-        numbered(*[of_scipy(stats.expon())] * 20),
-        Below("response", 8.951),
-    ),
+    "RP55": (waves, numbered(*[uniform(-1, 1)] * 2), in_series("a", "b", "c", "d")),
+    "RP54": (total, numbered(*[of_scipy(stats.expon())] * 20), Below("response", 8.951)),
     "RP57": (
         lambda x1, x2: {
             "a": -(x1**2) + x2**3 + 3,
@@ -201,19 +178,11 @@ CASES = {
     "RP89": (
         lambda x1, x2: {"a": -(x1**2) - x2 + 8, "b": -x1 / 5 - x2 + 6},
         STANDARD,
-        Series(*below_zero("a", "b")),
+        in_series("a", "b"),
     ),
-    "RP107": (
-        lambda **x: 5 * ROOT_10 - total(**x),
-        numbered(*[normal(0, 1)] * 10),
-        ALONE,
-    ),
-    "RP110": (stepped, STANDARD, Series(*below_zero("a", "b"))),
-    "RP111": (
-        lambda x1, x2: 12.5 - abs(x1 * x2),
-        STANDARD,
-        ALONE,
-    ),
+    "RP107": (lambda **x: 5 * ROOT_10 - total(**x), numbered(*[normal(0, 1)] * 10), ALONE),
+    "RP110": (stepped, STANDARD, in_series("a", "b")),
+    "RP111": (lambda x1, x2: 12.5 - abs(x1 * x2), STANDARD, ALONE),
     "RP63": (bowl, numbered(*[normal(0, 1)] * 100), ALONE),
     "RP91": (
         pressed,

@@ -2,8 +2,7 @@
 what is not known, and the same machine as a mechanism.
 
 A frame that is moved drives a drum through a play of +- gap and a spring, which gives by `give` at
-the force at which the drum slides.
-"""
+the force at which the drum slides."""
 
 from pathlib import Path
 from typing import NamedTuple

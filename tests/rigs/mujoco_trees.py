@@ -1,6 +1,5 @@
 """Accelerations of a model as MuJoCo has them and as ours, at random places and speeds; without
-limits and dry friction, which are forces here and constraints there.
-"""
+limits and dry friction, which are forces here and constraints there."""
 
 import sysconfig
 import warnings

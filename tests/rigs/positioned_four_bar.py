@@ -4,8 +4,7 @@ free: designs with a closed-form optimum.
 By hand: the loop closes, moments of the weights about the two other joints give the force through
 the loose one, and its journal lies where that presses it. Over tolerances of some micrometres the
 follower's angle is linear in all five numbers, but for parts in 1e5, so reciprocal costs b/t are
-least at t ~ (b / s^2)^(1/3), s being the angle's slopes.
-"""
+least at t ~ (b / s^2)^(1/3), s being the angle's slopes."""
 
 from typing import NamedTuple
 

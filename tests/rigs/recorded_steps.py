@@ -28,18 +28,15 @@ EXPLICIT, RIGID = ("FixedStep", "ImplicitStep"), ("MoreauJean",)
 def rubbing_crank(compliant: bool = True) -> jc.Mechanism:
     """A slider-crank with a loose pin; its crank pin rubs, and its slider, which has a stop."""
     if compliant:
-        smooth = jc.friction.ThreeZone(mu_static=0.15, mu_kinetic=0.12)
-        laws, at_pin = (jc.contact.CarvalhoMartins(stiffness=1e8, restitution=0.6), smooth), smooth
+        law = jc.contact.CarvalhoMartins(stiffness=1e8, restitution=0.6)
+        friction = jc.friction.ThreeZone(mu_static=0.15, mu_kinetic=0.12)
         stop = {"stiffness": 2e5, "damping": 40.0}
     else:
-        coulomb = jc.friction.Coulomb(mu_kinetic=0.12, mu_static=0.15)
-        laws, at_pin, stop = (
-            (jc.contact.Rigid(restitution=0.4), coulomb),
-            coulomb,
-            {"restitution": 0.6},
-        )
-    pin = jc.joint.PlainBearing(at_pin, radius=5e-3, length=8e-3)
-    loose = jc.clearance.PlanarJournalBearing(*laws, bearing_radius=10e-3, clearance=0.2e-3)
+        law, stop = jc.contact.Rigid(restitution=0.4), {"restitution": 0.6}
+        friction = jc.friction.Coulomb(mu_kinetic=0.12, mu_static=0.15)
+    pin = jc.joint.PlainBearing(friction, radius=5e-3, length=8e-3)
+    sizes = {"bearing_radius": 10e-3, "clearance": 0.2e-3}
+    loose = jc.clearance.PlanarJournalBearing(law, friction, **sizes)
     return jc.Mechanism(
         {
             "crank": jc.Body(0.3, 1e-4, (0.025, 0.0)),
@@ -66,12 +63,8 @@ def rubbing_crank(compliant: bool = True) -> jc.Mechanism:
 def socket_pendulum() -> jc.Mechanism:
     """A bob that a loose ball holds by bristles, with a ball joint that rubs behind it."""
     lugre = jc.friction.LuGre(mu_static=0.2, mu_kinetic=0.1, stribeck_speed=1e-2, presliding=1e-5)
-    socket = jc.clearance.BallSocket(
-        jc.contact.Gonthier(stiffness=1e8, restitution=0.7),
-        lugre,
-        socket_radius=10e-3,
-        clearance=0.1e-3,
-    )
+    law = jc.contact.Gonthier(stiffness=1e8, restitution=0.7)
+    socket = jc.clearance.BallSocket(law, lugre, socket_radius=10e-3, clearance=0.1e-3)
     smooth = jc.friction.ThreeZone(mu_static=0.15, mu_kinetic=0.12)
     ball = jc.joint.BallJoint(smooth, radius=5e-3)
     rod = lambda mass: jc.Body(mass, (2e-3, 3e-3, 4e-3), com=(0.1, 0.0, 0.0))
@@ -128,10 +121,8 @@ STATES, STEPS = 3, 3
 def stored_states(name: str, rung: str) -> tuple[np.ndarray, np.ndarray]:
     """(times [s], states) of a run."""
     build, _, duration = MECHANISMS[name]
-    integrator = INTEGRATORS[rung][0]
-    run = jc.simulate(
-        build(), duration, save=2 * STATES + 1, integrator=integrator, verify=False, balance=True
-    )
+    how = {"integrator": INTEGRATORS[rung][0], "verify": False, "balance": True}
+    run = jc.simulate(build(), duration, save=2 * STATES + 1, **how)
     every = slice(2, None, 2)
     return np.asarray(run.time)[every], np.asarray(run.states)[every]
 

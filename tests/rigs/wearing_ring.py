@@ -3,8 +3,7 @@ the depth over a life has a closed form.
 
 A slide presses the journal outwards. As the wall wears its force falls with its way x beyond the
 clearance, as F0 (1 - a x), which gives an exponential law, or as F0 / (1 + a x), which gives a law
-of square roots; x is the depth and the compliance of the contact, F / K.
-"""
+of square roots; x is the depth and the compliance of the contact, F / K."""
 
 import math
 from typing import NamedTuple

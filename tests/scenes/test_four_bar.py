@@ -1,6 +1,5 @@
 """The claims (a) to (e) about the four-bar with three-dimensional clearance and wear (paper 001),
-on two turns of the crank.
-"""
+on two turns of the crank."""
 
 import numpy as np
 import pytest
@@ -24,12 +23,9 @@ def ideal():
 
 @pytest.fixture(scope="module")
 def runs():
-    return {
-        c: jc.simulate(
-            four_bar("spatial", c, cells=CELLS), DURATION, save=SAVES, integrator=INTEGRATOR
-        )
-        for c in CLEARANCES[1:]
-    }
+    how = {"save": SAVES, "integrator": INTEGRATOR}
+    rigs = {c: four_bar("spatial", c, cells=CELLS) for c in CLEARANCES[1:]}
+    return {c: jc.simulate(rig, DURATION, **how) for c, rig in rigs.items()}
 
 
 def in_plane(run):
@@ -60,8 +56,7 @@ def test_angular_velocity_fluctuates_about_the_ideal_one(runs, ideal):
 def dense_regions(angles, width, least):
     """Arcs in which directions [rad] lie at least `least` times as dense as if they were spread
     evenly (a von Mises kernel of `width` [deg]): how many, and what share of the directions they
-    hold.
-    """
+    hold."""
     kappa = np.radians(width) ** -2
     at = np.radians(np.arange(360))
     kernel = np.exp(kappa * (np.cos(at[:, None] - angles) - 1.0)) / i0e(kappa)
@@ -85,8 +80,7 @@ def test_journal_ends_dwell_in_two_dense_regions(runs, width, least):
 
     With these thresholds by width no number of regions hangs on the step: at the lower end the
     second is 1.77 to 1.92, 1.58 to 1.69 and 1.46 to 1.54 times as dense with 0.1 mm, up to 1.26,
-    1.14 and 1.05 times with 0.05 mm, in seven steps of 10 to 20 us.
-    """
+    1.14 and 1.05 times with 0.05 mm, in seven steps of 10 to 20 us."""
     found = {}
     for clearance, run in runs.items():
         for end in plot.end_centres(run, "B"):

@@ -46,8 +46,7 @@ def test_without_compilation_it_says_so():
 
 
 def test_backwards_a_run_that_shows_its_progress_says_what_to_do():
-    """Its derivatives are compared with those in other steps, which nothing goes backwards through;
-    what tells of it is still told."""
+    """Nothing goes backwards through comparisons in other steps."""
     last = lambda clearance: run(clearance, throw=False, progress_bar=True).states[-1, 0]
     with pytest.raises(ValueError, match="shows its progress"):
         jax.grad(last)(2e-4)

@@ -8,6 +8,7 @@ import pytest
 
 import jaxclear as jc
 from jaxclear.integrators.checks import Outcome
+from tests.rigs import four_bars
 
 RUNGS = {
     "adaptive": jc.integrator.Adaptive(),
@@ -31,52 +32,29 @@ def driven_slider(amplitude):
 
 def four_bar(crank):
     """A four-bar driven at its crank, which turns round if it is the shortest link."""
-    body = jc.Body(1.0, 1e-2)
-    at = {"A": (crank, 0.0), "B": (0.3, 0.0), "D": (0.3, 0.0)}
-    drive = jc.drive.ConstantSpeed(20.0, 1.0)
-    hinge = jc.joint.Revolute()
-    return jc.Mechanism(
-        {"crank": body, "coupler": body, "rocker": body},
-        {
-            "O": jc.Connection(jc.joint.Revolute(drive=drive), "ground", "crank"),
-            "A": jc.Connection(hinge, "crank", "coupler", at=at["A"]),
-            "B": jc.Connection(
-                hinge, jc.Marker("coupler", at["B"]), jc.Marker("rocker", (0.25, 0.0))
-            ),
-            "D": jc.Connection(hinge, "ground", "rocker", at=at["D"]),
-        },
-        guess={"A": 0.8, "D": 1.3},
-    )
+    links = {"crank": crank, "coupler": 0.3, "rocker": 0.25}
+    drive, guess = jc.drive.ConstantSpeed(20.0, 1.0), {"A": 0.8, "D": 1.3}
+    return four_bars.four_bar(links, 0.3, jc.Body(1.0, 1e-2), drive=drive, guess=guess)
 
 
 @pytest.mark.parametrize("rung", RUNGS)
-@pytest.mark.parametrize(
-    "make",
-    [
-        pytest.param(lambda: driven_slider(0.03), id="slider"),
-        pytest.param(lambda: four_bar(0.28), id="four-bar", marks=pytest.mark.slow),
-    ],
-)
-def test_a_drive_beyond_a_dead_point_ends_the_run_and_says_so(make, rung):
-    run = jc.simulate(make(), 0.3, save=61, integrator=RUNGS[rung], throw=False)
+@pytest.mark.parametrize("kind", ["slider", pytest.param("four-bar", marks=pytest.mark.slow)])
+def test_a_drive_beyond_a_dead_point_ends_the_run_and_says_so(kind, rung):
+    rig = driven_slider(0.03) if kind == "slider" else four_bar(0.28)
+    run = jc.simulate(rig, 0.3, save=61, integrator=RUNGS[rung], throw=False)
     assert "A drive leads a closed loop beyond a dead point" in run.result
     assert 0.0 < float(run.ended) < 0.3
 
 
 @pytest.mark.slow
-def test_drives_within_reach_reach_their_end():
+def test_what_is_no_dead_point_is_not_called_one():
+    """Drives within reach, and a loop that long steps tear."""
     for rig in (driven_slider(0.015), four_bar(0.1)):
-        run = jc.simulate(rig, 0.1, save=11, integrator=RUNGS["fixed"])
-        assert run.succeeded
-
-
-@pytest.mark.slow
-def test_a_loop_torn_by_long_steps_is_not_called_a_dead_point():
+        assert jc.simulate(rig, 0.1, save=11, integrator=RUNGS["fixed"]).succeeded
     scene = jc.scenes.slider_crank("ideal", crank_speed=2000.0)
     steps = jc.integrator.FixedStep(2e-3, "semi_implicit")
     run = jc.simulate(scene, 0.05, save=26, integrator=steps, throw=False)
-    assert not run.succeeded and "dead point" not in run.result
-    assert "singular" not in run.result
+    assert not run.succeeded and "dead point" not in run.result and "singular" not in run.result
 
 
 @pytest.mark.slow
@@ -96,33 +74,19 @@ def test_a_sample_beyond_a_dead_point_says_so():
     assert "beyond a dead point" in study.rerun(int(told.argmax())).result
 
 
-def change_point(coupler=0.25, held="default"):
+def change_point(coupler=0.25, stabilisation="default"):
     """A four-bar whose shortest and longest links are together as long as the others: it is flat
     whenever its crank points along the ground."""
-    crank, rocker, ground = 0.1, 0.2, 0.15
-    link = lambda length: jc.Body(1.0, 1e-3, (0.5 * length, 0.0))
-    hinge = jc.joint.Revolute()
-    return jc.Mechanism(
-        {"crank": link(crank), "coupler": link(coupler), "rocker": link(rocker)},
-        {
-            "O": jc.Connection(hinge, "ground", "crank"),
-            "A": jc.Connection(hinge, "crank", "coupler", at=(crank, 0.0)),
-            "B": jc.Connection(
-                hinge, jc.Marker("coupler", (coupler, 0.0)), jc.Marker("rocker", (rocker, 0.0))
-            ),
-            "D": jc.Connection(hinge, "ground", "rocker", at=(ground, 0.0)),
-        },
-        {"gravity": jc.load.Gravity((0.0, -9.81))},
-        start={"O": 0.6},
-        guess={"A": 0.2, "D": 1.4},
-        stabilisation=held,
-    )
+    links = {"crank": 0.1, "coupler": coupler, "rocker": 0.2}
+    begins = {"start": {"O": 0.6}, "guess": {"A": 0.2, "D": 1.4}, "stabilisation": stabilisation}
+    gravity = {"gravity": jc.load.Gravity((0.0, -9.81))}
+    return four_bars.four_bar(links, 0.15, four_bars.link, gravity, **begins)
 
 
 @pytest.mark.slow
 def test_a_run_that_ends_at_a_singular_position_says_so():
     """With the loop, and the time at which the crank points along the ground."""
-    rig = change_point(held=jc.Baumgarte())
+    rig = change_point(stabilisation=jc.Baumgarte())
     run = jc.simulate(rig, 1.0, save=101, integrator=RUNGS["implicit"], throw=False)
     assert run.outcome == Outcome.SINGULAR_POSITION
     assert "is at a singular position" in run.result and 'through joint "B"' in run.result
@@ -150,13 +114,9 @@ def test_loops_closed_after_every_step_pass_a_singular_position():
 def full_stroke(amplitude=0.05):
     """A slider-crank whose piston is driven over exactly its full stroke, or a share of it."""
     push = jc.drive.Harmonic(amplitude, 2.0, offset=0.12)
-    hinge = jc.joint.Revolute()
+    hinge, rod = jc.joint.Revolute(), jc.Body(0.3, 4e-4, com=(0.06, 0.0))
     return jc.Mechanism(
-        {
-            "crank": jc.Body(1.0, 5e-3),
-            "rod": jc.Body(0.3, 4e-4, com=(0.06, 0.0)),
-            "piston": jc.Body(0.4, 1e-4),
-        },
+        {"crank": jc.Body(1.0, 5e-3), "rod": rod, "piston": jc.Body(0.4, 1e-4)},
         {
             "O": jc.Connection(hinge, "ground", "crank"),
             "A": jc.Connection(hinge, "crank", "rod", at=(0.05, 0.0)),
@@ -178,21 +138,19 @@ def cranks_through(times):
     return turned - 2 * np.pi * (half // 2)
 
 
-@pytest.mark.parametrize(
-    "integrator",
-    [
-        jc.integrator.ImplicitStep(1e-3),
-        # Here a step's middle is the dead centre itself.
-        jc.integrator.ImplicitStep(2e-3),
-        jc.integrator.NonColliding(7e-4),
-        jc.integrator.MoreauJean(1e-3),
-    ],
-    ids=["implicit", "middle", "non-colliding", "rigid"],
-)
-def test_inertia_carries_a_crank_through_its_dead_centres(integrator):
-    """Beside the closed form, on steps that meet the dead centres exactly and on steps that do not;
-    it turned round, or ended."""
-    run = jc.simulate(full_stroke(), 1.0, save=101, integrator=integrator)
+THROUGH = {
+    "implicit": jc.integrator.ImplicitStep(1e-3),
+    # Here a step's middle is the dead centre itself.
+    "middle": jc.integrator.ImplicitStep(2e-3),
+    "non-colliding": jc.integrator.NonColliding(7e-4),
+    "rigid": jc.integrator.MoreauJean(1e-3),
+}
+
+
+@pytest.mark.parametrize("rung", THROUGH)
+def test_inertia_carries_a_crank_through_its_dead_centres(rung):
+    """Beside the closed form, on steps that meet the dead centres exactly and on others."""
+    run = jc.simulate(full_stroke(), 1.0, save=101, integrator=THROUGH[rung])
     angle = np.asarray(run.coordinate("O"))
     # Crank and piston are off by the square of a step near the ends of the stroke.
     np.testing.assert_allclose(angle, cranks_through(np.asarray(run.time)), atol=1e-3)

@@ -26,17 +26,12 @@ def first_half(rig, integrator):
     return jc.simulate(rig, HALF, save=SAVES, integrator=integrator)
 
 
-@pytest.mark.parametrize(
-    ("integrator", "within"),
-    [
-        pytest.param(jc.integrator.FixedStep(STEP), 0.0, id="fixed", marks=pytest.mark.slow),
-        pytest.param(
-            jc.integrator.Adaptive(rtol=1e-9), 1e-5, id="adaptive", marks=pytest.mark.slow
-        ),
-    ],
-)
-def test_two_halves_are_the_whole(integrator, within):
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["fixed", "adaptive"])
+def test_two_halves_are_the_whole(kind):
     """With a law that remembers, and a surface that wears: updated at each saving time, in both."""
+    adaptive, within = jc.integrator.Adaptive(rtol=1e-9), 1e-5 if kind == "adaptive" else 0.0
+    integrator = adaptive if kind == "adaptive" else jc.integrator.FixedStep(STEP)
     updates = SAVES - 1
     rig, twice = bearing(updates), bearing(2 * updates)
     whole = jc.simulate(twice, 2 * HALF, save=2 * SAVES - 1, integrator=integrator)
@@ -57,37 +52,23 @@ def test_two_halves_are_the_whole(integrator, within):
 @pytest.mark.slow
 def test_problem_goes_on_as_simulate_does():
     rig, integrator = bearing(), jc.integrator.FixedStep(STEP)
-    one = first_half(rig, integrator)
-    run = jc.simulate(rig, HALF, save=SAVES, integrator=integrator, state=one.state())
-    problem = jc.Problem(
-        rig,
-        jc.response.PeakWornDepth("B"),
-        {
-            "clearance": jc.Variable(
-                lambda rig: rig.connections["B"].joint.clearance, tolerance=1e-6
-            )
-        },
-        duration=HALF,
-        save=SAVES,
-        integrator=integrator,
-        state=one.state(),
-    )
+    how = {"save": SAVES, "integrator": integrator, "state": first_half(rig, integrator).state()}
+    depth = jc.response.PeakWornDepth("B")
+    where = lambda rig: rig.connections["B"].joint.clearance
+    varied = {"clearance": jc.Variable(where, tolerance=1e-6)}
+    problem = jc.Problem(rig, depth, varied, duration=HALF, **how)
     found = eqx.filter_jit(jc.Problem.evaluate)(problem, problem.nominal()).responses["response"]
-    np.testing.assert_allclose(found, jc.response.PeakWornDepth("B")(run), rtol=1e-12)
+    np.testing.assert_allclose(found, depth(jc.simulate(rig, HALF, **how)), rtol=1e-12)
 
 
 def test_a_worn_gap_is_deeper():
     """A journal pressed on a surface worn evenly lies as much deeper."""
-    rig, integrator = bearing(), jc.integrator.FixedStep(STEP)
-    depth = 1e-6
-    flat = jnp.full_like(first_half(rig, integrator).worn["B"]["bearing"], depth)
-    gaps = [
-        jc.simulate(rig, HALF, save=SAVES, integrator=integrator, state=state)
-        .contact("B")
-        .indentation[0, 0]
-        for state in (None, jc.State({"B": {"bearing": flat}}))
-    ]
-    assert float(gaps[0] - gaps[1]) == pytest.approx(depth, rel=1e-9)
+    rig, how = bearing(), {"save": SAVES, "integrator": jc.integrator.FixedStep(STEP)}
+    depth, plain = 1e-6, jc.simulate(rig, HALF, **how)
+    flat = jc.State({"B": {"bearing": jnp.full_like(plain.worn["B"]["bearing"], depth)}})
+    runs = plain, jc.simulate(rig, HALF, state=flat, **how)
+    gaps = [float(run.contact("B").indentation[0, 0]) for run in runs]
+    assert gaps[0] - gaps[1] == pytest.approx(depth, rel=1e-9)
 
 
 @pytest.mark.slow
@@ -107,26 +88,20 @@ def test_a_state_closes_the_loops_of_other_lengths():
 def test_what_does_not_belong_is_refused_by_name():
     rig, integrator = bearing(), jc.integrator.FixedStep(STEP)
     one = first_half(rig, integrator)
-
-    def start(state):
-        jc.simulate(rig, HALF, save=SAVES, integrator=integrator, state=state)
-
-    def worn(depths):
-        return lambda: jc.State(depths)
-
     other = jc.simulate(slider_crank("ideal"), 1e-3, save=2)
-    for state, sentence in (
-        (worn({"C": {}}), 'no worn joint "C" in this mechanism; there is "B"'),
-        (worn({"B": {"bore": 0.0}}), 'no worn surface "bore" of joint "B"'),
-        (worn({"B": {"bearing": jnp.zeros(3)}}), r'"bearing"\] has the shape \(3,\)'),
-        (worn({"B": {"bearing": -one.worn["B"]["bearing"]}}), "below 0 m"),
-        (worn(one), "worn of a State is a Trajectory"),
-        (lambda: one, "state is a Trajectory"),
-        (dict, "state is "),
-        (other.state, "another mechanism"),
-        (lambda: one.state(0), "worn depths are known at the end of a run only"),
-    ):
+    depth = one.worn["B"]["bearing"]
+    for sentence, state in {
+        'no worn joint "C" in this mechanism; there is "B"': lambda: jc.State({"C": {}}),
+        'no worn surface "bore" of joint "B"': lambda: jc.State({"B": {"bore": 0.0}}),
+        r'"bearing"\] has the shape \(3,\)': lambda: jc.State({"B": {"bearing": jnp.zeros(3)}}),
+        "below 0 m": lambda: jc.State({"B": {"bearing": -depth}}),
+        "worn of a State is a Trajectory": lambda: jc.State(one),
+        "state is a Trajectory": lambda: one,
+        "state is ": dict,
+        "another mechanism": other.state,
+        "worn depths are known at the end of a run only": lambda: one.state(0),
+    }.items():
         with pytest.raises(ValueError, match=sentence):
-            start(state())
+            jc.simulate(rig, HALF, save=SAVES, integrator=integrator, state=state())
     with pytest.raises(ValueError, match="saving time 5 was asked for; the run has 5"):
         one.state(5)

@@ -21,12 +21,11 @@ PULSE = jc.TimeTable(
 )
 
 
-def pushed(push):
-    along = {end: jc.Marker(end, axis="x") for end in ("ground", "cart")}
-    slide = jc.Connection(jc.joint.Prismatic(), *along.values())
-    return jc.Mechanism(
-        {"cart": jc.Body(MASS, 1.0)}, {"G": slide}, {"push": jc.load.JointTorque("G", push)}
-    )
+def pushed(push, mass=MASS, **more):
+    """A cart on a slide that a force [N] pushes."""
+    slide = jc.Connection(jc.joint.Prismatic(), "ground", "cart", axis="x")
+    loads = {"push": jc.load.JointTorque("G", push)} | more
+    return jc.Mechanism({"cart": jc.Body(mass, 1.0)}, {"G": slide}, loads)
 
 
 def speed(run):
@@ -70,15 +69,7 @@ def test_steps_that_meet_a_stop_midway_say_so(step, said):
     """A cart pushed against an elastic stop leaves it with the speed at which it came, and is back
     where it began after twice the time it took, and half a vibration of the stop."""
     mass, push, way, stiffness = 1.0, 50.0, 0.01, 1e8
-    along = {end: jc.Marker(end, axis="x") for end in ("ground", "cart")}
-    rig = jc.Mechanism(
-        {"cart": jc.Body(mass, 1.0)},
-        {"G": jc.Connection(jc.joint.Prismatic(), *along.values())},
-        {
-            "push": jc.load.JointTorque("G", push),
-            "stop": jc.load.JointStop("G", upper=way, stiffness=stiffness),
-        },
-    )
+    rig = pushed(push, mass, stop=jc.load.JointStop("G", upper=way, stiffness=stiffness))
     there, swing = (2 * way * mass / push) ** 0.5, np.pi * (mass / stiffness) ** 0.5
     duration = 4 * (2 * there + swing)
     steps = jc.integrator.FixedStep(step)
@@ -88,19 +79,15 @@ def test_steps_that_meet_a_stop_midway_say_so(step, said):
 
 @pytest.mark.slow
 def test_a_study_is_held_to_the_push_too_and_says_what_its_steps_pass_over():
+    mass = jc.Variable(lambda rig: rig.bodies["cart"].mass, jc.distribution.Uniform(0.1))
+    end = {"speed": lambda run: run.speed("G")[-1]}
     question = lambda integrator: jc.Problem(
-        pushed(PULSE),
-        {"speed": lambda run: run.speed("G")[-1]},
-        {"mass": jc.Variable(lambda rig: rig.bodies["cart"].mass, jc.distribution.Uniform(0.1))},
-        duration=0.1,
-        save=6,
-        integrator=integrator,
+        pushed(PULSE), end, {"mass": mass}, duration=0.1, save=6, integrator=integrator
     )
     held = question(jc.integrator.Adaptive())
     found = jax.jit(held.evaluate)(held.nominal()).responses["speed"]
     assert float(found) == pytest.approx(FORCE * LASTS / MASS, rel=1e-5)
-    passing = question(jc.integrator.FixedStep(1e-4))
-    assert "push" in passing.description.warnings[0]
+    assert "push" in question(jc.integrator.FixedStep(1e-4)).description.warnings[0]
 
 
 def pulse(time):
@@ -142,11 +129,6 @@ def test_a_function_of_time_is_felt_however_shortly_it_acts(push):
     assert int(run.accepted_steps) < 20_000 and not run.warnings
 
 
-def test_steps_of_fixed_length_that_pass_over_a_short_push_say_so():
-    run = jc.simulate(pushed(pulse), 60.0, save=6, integrator=jc.integrator.FixedStep(5e-3))
-    assert ['of the impulse of "push"' in said for said in run.warnings].count(True) == 1
-
-
 def test_steps_end_at_breaks_that_are_asked_for():
     breaks = [0.0123, 0.0456]
     run = jc.simulate(pushed(5.0), 0.1, save=2, integrator=jc.integrator.Adaptive(breaks=breaks))
@@ -185,8 +167,7 @@ def with_own(load, initial):
 
 @pytest.mark.parametrize("save", [3, 101])
 def test_a_load_of_the_users_own_is_felt_however_shortly_it_acts(save):
-    """By its work, and by its impulse. Error control alone finds where a braked body leaves the
-    strip."""
+    """By its work, and by its impulse."""
     braked = jc.simulate(with_own(Strip, 6.0), 1.0, save=save)
     left = np.sqrt(6.0**2 - 2 * 2e4 * 0.5e-3 / MASS)
     assert speed(braked) == pytest.approx(left, rel=3e-5) and not braked.warnings
@@ -194,20 +175,19 @@ def test_a_load_of_the_users_own_is_felt_however_shortly_it_acts(save):
     assert speed(knocked) == pytest.approx(1e3 * 1e-3 / MASS, rel=1e-5)
 
 
-def test_steps_of_fixed_length_say_what_they_pass_over_of_a_load_of_the_users_own():
-    run = jc.simulate(with_own(Strip, 6.0), 1.0, save=3, integrator=jc.integrator.FixedStep(1e-3))
-    assert ['of the impulse of "own"' in said for said in run.warnings].count(True) == 1
+def test_steps_of_fixed_length_say_what_they_pass_over():
+    """Of a load of the user's own, too."""
+    for rig, duration, step, name in (
+        (pushed(pulse), 60.0, 5e-3, "push"),
+        (with_own(Strip, 6.0), 1.0, 1e-3, "own"),
+    ):
+        run = jc.simulate(rig, duration, save=3, integrator=jc.integrator.FixedStep(step))
+        assert [f'of the impulse of "{name}"' in said for said in run.warnings].count(True) == 1
 
 
 def test_slopes_of_a_short_push_are_those_of_its_impulse():
     """Of impulse over mass, by mass."""
-
-    def after(mass):
-        slide = jc.Connection(jc.joint.Prismatic(), "ground", "cart", axis="x")
-        loads = {"push": jc.load.JointTorque("G", pulse)}
-        rig = jc.Mechanism({"cart": jc.Body(mass, 1.0)}, {"G": slide}, loads)
-        return jc.simulate(rig, 60.0, save=6, throw=False).speed("G")[-1]
-
+    after = lambda mass: jc.simulate(pushed(pulse, mass), 60.0, save=6, throw=False).speed("G")[-1]
     slope = jax.jvp(after, (MASS,), (1.0,))[1]
     assert float(slope) == pytest.approx(-impulse(pulse, 60.0) / MASS**2, rel=1e-4)
 

@@ -1,6 +1,5 @@
 """A run is one kernel, from its start to its last saving time, on every rung; its numbers
-are those of a run whose saving intervals are kernels each by itself.
-"""
+are those of a run whose saving intervals are kernels each by itself."""
 
 import equinox as eqx
 import jax

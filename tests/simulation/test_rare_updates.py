@@ -59,31 +59,23 @@ def test_replicas_wear_them_more_often_in_proportion():
     np.testing.assert_array_equal(depth(replica), depth(wanted))
 
 
-def test_how_often_is_a_whole_number():
-    with pytest.raises(ValueError, match="updates"):
-        jc.Wearing(jc.wear.Archard(), updates=0)
-
-
 def test_steps_that_are_no_share_of_the_time_between_updates_leave_them_as_rare():
     """One at each saving time of a run in which 166.7 steps fit into an interval: so the motion is
     that of surfaces that do not wear, in the same steps."""
-    integrator = jc.integrator.FixedStep(3e-5)
-    runs = [
-        jc.simulate(each, DURATION, save=5, integrator=integrator, verify=False)
-        for each in (rig(4), jc.scenes.slider_crank())
-    ]
+    how = {"save": 5, "integrator": jc.integrator.FixedStep(3e-5), "verify": False}
+    runs = [jc.simulate(each, DURATION, **how) for each in (rig(4), jc.scenes.slider_crank())]
     assert int(runs[0].accepted_steps) == int(runs[1].accepted_steps) == 4 * 167
     moved = [run.body("slider").com for run in runs]
     np.testing.assert_allclose(*moved, rtol=0, atol=1e-9)
+    with pytest.raises(ValueError, match="updates"):
+        jc.Wearing(jc.wear.Archard(), updates=0)
 
 
 def test_with_a_progress_bar_a_run_wears_as_without():
     """It is no kernel then, and updates follow the contact's path all the same: with two saving
     times surfaces had worn once, at the end."""
+    how = {"save": 2, "integrator": INTEGRATOR, "verify": False}
     shown, wanted = (
-        jc.simulate(
-            rig(None), DURATION, save=2, integrator=INTEGRATOR, verify=False, progress_bar=bar
-        )
-        for bar in (True, False)
+        depth(jc.simulate(rig(None), DURATION, progress_bar=bar, **how)) for bar in (True, False)
     )
-    np.testing.assert_allclose(depth(shown), depth(wanted), rtol=0, atol=1e-9 * depth(wanted).max())
+    np.testing.assert_allclose(shown, wanted, rtol=0, atol=1e-9 * wanted.max())

@@ -8,31 +8,17 @@ import pytest
 
 import jaxclear as jc
 from jaxclear.simulation.singular_positions import singular_positions
+from tests.rigs.four_bars import HINGE, four_bar, link
 from tests.simulation.test_dead_points import cranks_through, full_stroke
 
-HINGE = jc.joint.Revolute()
 DEAD = [0.125, 0.375, 0.625, 0.875]
-
-
-def link(length):
-    return jc.Body(1.0, 1e-3, (0.5 * length, 0.0))
 
 
 def parallelogram(speed=10.0):
     """Driven at its crank: flat twice a turn, where it could go on crossed."""
-    drive = jc.drive.ConstantSpeed(speed, 0.5)
-    return jc.Mechanism(
-        {"crank": link(0.1), "coupler": link(0.3), "rocker": link(0.1)},
-        {
-            "O": jc.Connection(jc.joint.Revolute(drive=drive), "ground", "crank"),
-            "A": jc.Connection(HINGE, "crank", "coupler", at=(0.1, 0.0)),
-            "B": jc.Connection(
-                HINGE, jc.Marker("coupler", (0.3, 0.0)), jc.Marker("rocker", (0.1, 0.0))
-            ),
-            "D": jc.Connection(HINGE, "ground", "rocker", at=(0.3, 0.0)),
-        },
-        guess={"A": -0.5, "D": 0.5},
-    )
+    links = {"crank": 0.1, "coupler": 0.3, "rocker": 0.1}
+    drive, guess = jc.drive.ConstantSpeed(speed, 0.5), {"A": -0.5, "D": 0.5}
+    return four_bar(links, 0.3, link, drive=drive, guess=guess)
 
 
 def quickly(rig, save, integrator=None):
@@ -104,10 +90,19 @@ def test_none_is_found_within_the_stroke(amplitude, save):
     assert quickly(full_stroke(amplitude), save).singular_positions == ()
 
 
-def test_none_is_found_where_the_crank_is_driven():
-    """Rod and crank are in line twice a turn, where the piston stands; loops are regular."""
+def test_none_is_found_where_there_is_none(monkeypatch):
+    """Rod and crank are in line twice a turn, where the piston stands; loops are regular. Loops
+    that no drive holds are not looked at."""
     rig = jc.scenes.slider_crank("ideal", crank_speed=20.0)
     assert quickly(rig, 26).singular_positions == ()
+
+    def never(*_):
+        raise AssertionError
+
+    monkeypatch.setattr("jaxclear.simulation.singular_positions._along", never)
+    joints = rig.connections | {"O": jc.Connection(HINGE, "ground", "crank")}
+    free = jc.Mechanism(rig.bodies, joints, rig.loads, start={"O": 0.8}, guess={"G": 0.15})
+    assert quickly(free, 11).singular_positions == ()
 
 
 @pytest.mark.parametrize("save", [11, 101])
@@ -120,16 +115,3 @@ def test_a_parallelogram_passes_its_change_points(save):
     # It stays a parallelogram.
     rocker = np.asarray(run.coordinate("D"))
     np.testing.assert_allclose(rocker, 0.5 + 10.0 * np.asarray(run.time), atol=1e-9)
-
-
-def test_loops_that_no_drive_holds_are_not_asked(monkeypatch):
-    from jaxclear.simulation import singular_positions
-
-    def never(*_):
-        raise AssertionError
-
-    monkeypatch.setattr(singular_positions, "_along", never)
-    free = jc.scenes.slider_crank("ideal")
-    joints = free.connections | {"O": jc.Connection(HINGE, "ground", "crank")}
-    rig = jc.Mechanism(free.bodies, joints, free.loads, start={"O": 0.8}, guess={"G": 0.15})
-    assert quickly(rig, 11).singular_positions == ()

@@ -70,14 +70,8 @@ def problem(joints: str, text: str) -> jc.Problem:
     length = jc.Variable(lambda r: r.bodies["rod"].com[0], tolerance=0.01)
     mass = jc.Variable(lambda r: r.bodies["rod"].mass, tolerance=0.01)
     place = lambda run: 1e3 * jnp.sum(run.body("rod").com[-1, :2])
-    return jc.Problem(
-        rig,
-        place,
-        {"length": length, "mass": mass},
-        duration=duration,
-        integrator=integrator_of(text, step, duration),
-        save=SAVES,
-    )
+    how = {"integrator": integrator_of(text, step, duration), "save": SAVES}
+    return jc.Problem(rig, place, {"length": length, "mass": mass}, duration=duration, **how)
 
 
 def answer_of(asked: jc.Problem, entry: str, discrete: bool):
@@ -85,13 +79,8 @@ def answer_of(asked: jc.Problem, entry: str, discrete: bool):
         return lambda v: asked.evaluate(v, discrete_derivatives=discrete).responses["response"]
 
     def simulated(values):
-        run = jc.simulate(
-            asked.with_values(values),
-            asked.duration,
-            integrator=asked.integrator,
-            save=SAVES,
-            throw=False,
-        )
+        how = {"integrator": asked.integrator, "save": SAVES, "throw": False}
+        run = jc.simulate(asked.with_values(values), asked.duration, **how)
         return asked.response["response"](run)
 
     return simulated
@@ -161,11 +150,8 @@ def test_the_books_table_names_every_integrator_and_entry():
     named = {text.split("(")[0] for _, text, _ in rows()}
     family = {name for name in jc.integrator.__all__ if is_integrator(name)}
     assert named == family
-    assert {word for *_, told in rows() for word in told.values()} == {
-        "right",
-        "discrete",
-        "says why",
-    }
+    words = {word for *_, told in rows() for word in told.values()}
+    assert words == {"right", "discrete", "says why"}
 
 
 def is_integrator(name):

@@ -112,34 +112,20 @@ PLACES = {
 }
 
 
-@pytest.mark.parametrize(
-    "kind, fine, coarse",
-    [
-        (
-            "wall",
-            CylinderMap((48, 8), 10e-3, 20e-3, 1e-4, coarseness=2.0),
-            CylinderMap((24, 4), 10e-3, 20e-3, 1e-4),
-        ),
-        (
-            "ball",
-            SphereMap((48, 24), 10e-3, 1e-4, coarseness=2.0),
-            SphereMap((24, 12), 10e-3, 1e-4),
-        ),
-        (
-            "guide",
-            WallMap((2, 24), 0.12, 0.0, 0.04, 0.01, 1e-4, 0.01, coarseness=2.0),
-            WallMap((2, 12), 0.12, 0.0, 0.04, 0.01, 1e-4, 0.01),
-        ),
-    ],
-    ids=PLACES,
-)
-def test_cells_twice_as_wide_are_those_of_a_map_with_half_as_many(kind, fine, coarse):
+MAPS = {
+    "wall": lambda m, **how: CylinderMap((24 * m, 4 * m), 10e-3, 20e-3, 1e-4, **how),
+    "ball": lambda m, **how: SphereMap((24 * m, 12 * m), 10e-3, 1e-4, **how),
+    "guide": lambda m, **how: WallMap((2, 12 * m), 0.12, 0.0, 0.04, 0.01, 1e-4, 0.01, **how),
+}
+
+
+@pytest.mark.parametrize("kind", MAPS)
+def test_cells_twice_as_wide_are_those_of_a_map_with_half_as_many(kind):
+    fine, coarse = MAPS[kind](2, coarseness=2.0), MAPS[kind](1)
     event, volume = jnp.asarray(PLACES[kind])[None], jnp.asarray([1e-12])
 
     def lose(wear_map):
-        depth = jnp.zeros(wear_map.cells)
-        for _ in range(2):
-            depth = wear_map.deposit(depth, volume, event)
+        depth = wear_map.deposit(jnp.zeros(wear_map.cells), volume, event)
         begun = depth, wear_map.reading(depth), (jnp.zeros_like(depth),)
         turn = lambda now, _: (wear_map.deposit_in_turn(*now, volume, event), ())
         depth, reading, _ = scan(turn, begun, np.zeros(1), long=True)[0]
@@ -183,16 +169,20 @@ def narrow_events(kind, coarseness):
     return surface, place, LOST / (2 / 3 * np.pi * (radius * NARROW) ** 2)
 
 
+def lose(surface, volume, event):
+    """Depths of a surface that loses a volume, and the deepest place."""
+    depth = surface.deposit(jnp.zeros(surface.cells), volume, event)
+    return depth, surface.deepest(depth)
+
+
 @pytest.mark.parametrize("kind", ["line", "ball", "guide"])
 def test_the_error_of_a_scar_narrower_than_a_cell_is_that_of_its_contact(kind):
-    """Hertz's pressure over the contact's own width; beside a change of cells alone it is 5 to 20
-    times as large."""
-    depths = []
+    """Hertz's pressure over the contact's own width."""
+    depths, worn = [], jax.jit(lose)
     for coarseness in (2.0, 1.0):
         surface, place, true = narrow_events(kind, coarseness)
-        event = jnp.full(1, LOST), jnp.asarray(place)[None]
-        depth = surface.deposit(jnp.zeros(surface.cells), *event)
-        depths.append(float(surface.deepest(depth)))
+        depth, deepest = worn(surface, jnp.full(1, LOST), jnp.asarray(place)[None])
+        depths.append(float(deepest))
     coarse, fine = depths
     factor = factor_of_cells(surface, jnp.asarray(place), depth, 1.0)
     stated = factor * abs(fine - coarse)

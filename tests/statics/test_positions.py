@@ -10,7 +10,7 @@ from scipy.optimize import brentq, minimize
 
 import jaxclear as jc
 from jaxclear.statics.position_path import positions_at, spots_along
-from jaxclear.statics.quasi_static import loop_method, posed, settle
+from jaxclear.statics.quasi_static import find_spot, loop_method, posed
 
 CRANK, COUPLER, FOLLOWER, GROUND, CLEARANCE, GRAVITY = 0.1, 0.4, 0.3, 0.3, 0.3e-3, 9.81
 ANGLES = np.array([0.2, 1.5, 2.8, 4.1, 5.4])
@@ -201,7 +201,7 @@ def test_the_way_of_assembly_is_told_and_a_fall_to_the_other_is_found_out():
     fallen = eqx.tree_at(lambda spot: spot.q, here, jnp.asarray(mirrored))
     there = positions_at(scene, places, fallen, way)
     assert not np.any(there.is_solved) and np.all(positions_at(scene, places, here, way).is_solved)
-    gone = jax.vmap(lambda own, start: settle(scene.at(own), start, way))(places, fallen)
+    gone = jax.vmap(lambda own, start: find_spot(scene.at(own), start, way))(places, fallen)
     np.testing.assert_array_equal(gone.branch, -here.branch)
     assert np.all(gone.change < 1e-9)
 
@@ -289,3 +289,22 @@ def test_a_reaction_holds_the_loads_on_its_coordinate_wherever_the_loop_is_cut(c
     found = jc.positions(sprung, {"O": ANGLES[:1]})
     torque = -stiffness * (ideal_angles(ANGLES[0])[0] - ANGLES[0])
     np.testing.assert_allclose(found.reaction("A")[0, 5], torque, rtol=1e-9)
+
+
+def test_a_motor_that_is_held_is_read_by_its_name():
+    """A motor behind a gear of 100 turns by 30 rad where its arm, but for its twist, by 0.3."""
+    mechanism = jc.Mechanism(
+        {"arm": jc.Body(2.0, 0.1, (0.3, 0.0))},
+        {"hinge": jc.Connection(jc.joint.Revolute(), "ground", "arm")},
+        {"gravity": jc.load.Gravity((0.0, -9.81))},
+        couplings={
+            "gear": jc.coupling.Gear(jc.coupling.Motor(2e-5), "hinge", ratio=100, stiffness=2e4)
+        },
+    )
+    rests = jc.positions(mechanism, {"gear.motor": [30.0, 10.0]})
+    np.testing.assert_array_equal(rests.coordinate("gear.motor"), [30.0, 10.0])
+    hinge = np.asarray(rests.coordinate("hinge"))
+    twist = 2.0 * 9.81 * 0.3 * np.cos(hinge) / 2e4
+    np.testing.assert_allclose(hinge, [0.3, 0.1] - twist, rtol=1e-9)
+    with pytest.raises(ValueError, match='"hinge", "gear.motor"'):
+        rests.coordinate("gear")

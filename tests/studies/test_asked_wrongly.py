@@ -70,43 +70,35 @@ def test_a_response_that_cannot_be_is_refused_by_its_name(name, accuracy, nothin
         problem(response, accuracy=accuracy)
 
 
-POINTS = {
-    "an expression": (lambda rig: 2 * rig.bodies["rod"].mass, "gives 0.42. It computes"),
-    "a sum": (lambda rig: sum(rig.bodies["rod"].com), "It computes, and what is computed"),
-    "float": (lambda rig: float(rig.bodies["rod"].mass), "gives 0.21. It computes"),
-    "a name": (lambda rig: rig.bodies["rodd"].mass, 'points at nothing.*Did you mean "rod"'),
-    "a part": (lambda rig: rig.bodies["rod"], "gives a Body"),
-}
-
-
-@pytest.mark.parametrize("name", POINTS)
-def test_a_variable_that_sets_no_number_is_refused_by_its_name(name, nothing_compiles):
-    where, sentence = POINTS[name]
-    with pytest.raises(ValueError, match=f'variable "rod".*{sentence}'):
-        problem(lambda run: run.ended, jc.Variable(where, tolerance=1e-3))
-
-
 def mass(rig):
     return rig.bodies["rod"].mass
 
 
-DERIVED = {
-    "an expression": (lambda rig: 1 * rig.bodies["rod"].inertia[0], mass, "must be one number"),
-    "a name": (lambda rig: rig.bodies["rodd"].mass, mass, 'place of what.*Did you mean "rod"'),
-    "what it is": (
-        lambda rig: rig.bodies["rod"].inertia[0],
-        lambda rig: rig.bodies["rodd"].mass,
-        'what variable "rod" derives fails with KeyError',
+def inertia(rig):
+    return rig.bodies["rod"].inertia[0]
+
+
+# Where a variable points, what it derives, and the sentence.
+POINTS = {
+    'variable "rod".*gives 0.42. It computes': (lambda rig: 2 * mass(rig),),
+    'variable "rod".*It computes, and what is computed': (lambda rig: sum(rig.bodies["rod"].com),),
+    'variable "rod".*gives 0.21. It computes': (lambda rig: float(mass(rig)),),
+    'variable "rod".*points at nothing.*Did you mean "rod"': (lambda rig: rig.bodies["rodd"].mass,),
+    'variable "rod".*gives a Body': (lambda rig: rig.bodies["rod"],),
+    "must be one number": (mass, (lambda rig: 1 * inertia(rig), mass)),
+    'place of what.*Did you mean "rod"': (mass, (lambda rig: rig.bodies["rodd"].mass, mass)),
+    'what variable "rod" derives fails with KeyError': (
+        mass,
+        (inertia, lambda rig: rig.bodies["rodd"].mass),
     ),
 }
 
 
-@pytest.mark.parametrize("name", DERIVED)
-def test_what_a_variable_derives_is_a_number_of_the_mechanism(name, nothing_compiles):
-    where, value, sentence = DERIVED[name]
-    variable = jc.Variable(mass, tolerance=1e-3, derived=[(where, value)])
+@pytest.mark.parametrize("sentence", POINTS)
+def test_a_variable_that_sets_no_number_is_refused_by_its_name(sentence, nothing_compiles):
+    where, *derived = POINTS[sentence]
     with pytest.raises(ValueError, match=sentence):
-        problem(lambda run: run.ended, variable)
+        problem(lambda run: run.ended, jc.Variable(where, tolerance=1e-3, derived=derived))
 
 
 # Of a normal distribution with a deviation of a clearance, 16 % (below -1 deviation) lie below 0.
@@ -168,8 +160,7 @@ def test_a_sketch_tells_all_that_a_run_does():
 
 
 def test_an_accuracy_may_be_asked_of_rigid_contact():
-    """The integrator is chosen later; explicit steps, which have no force law there, are not what
-    the responses are tried on."""
+    """Responses are not tried on explicit steps, which have no force law there."""
     rig = jc.scenes.slider_crank(contact=jc.contact.Rigid(restitution=0.0))
     response = jc.response.MeanContactForce("B")
     assert jc.Problem(rig, response, {}, duration=1e-3, accuracy=0.05).response_names

@@ -1,6 +1,5 @@
 """A batch is its samples: each as it would run alone, and again bit for bit; and chunks side by
-side never wait for each other.
-"""
+side never wait for each other."""
 
 import subprocess
 import sys
@@ -28,39 +27,28 @@ RUNGS = {
     "Moreau-Jean": jc.integrator.MoreauJean(1e-4),
     "non-colliding": jc.integrator.NonColliding(1e-4),
 }
+
+
+def at_parent(joint, axis):
+    return lambda rig: rig.connections[joint].parent.at[axis]
+
+
 # Scenes as every rung of the ladder takes them, and a length of a link in each.
 SCENES = {
-    "slider-crank": (
-        lambda wear: jc.scenes.slider_crank(wear=wear),
-        lambda rig: rig.connections["B"].parent.at[0],
-    ),
-    "four-bar": (
-        lambda wear: jc.scenes.four_bar(wear=wear),
-        lambda rig: rig.connections["A"].parent.at[0],
-    ),
-    "antenna": (
-        lambda wear: jc.scenes.antenna(friction="regularised"),
-        lambda rig: rig.connections["J2"].parent.at[2],
-    ),
-    "guide": (
-        lambda wear: jc.scenes.guide(friction="regularised"),
-        lambda rig: rig.connections["A"].parent.at[0],
-    ),
+    "slider-crank": (lambda wear: jc.scenes.slider_crank(wear=wear), at_parent("B", 0)),
+    "four-bar": (lambda wear: jc.scenes.four_bar(wear=wear), at_parent("A", 0)),
+    "antenna": (lambda wear: jc.scenes.antenna(friction="regularised"), at_parent("J2", 2)),
+    "guide": (lambda wear: jc.scenes.guide(friction="regularised"), at_parent("A", 0)),
 }
 QUICK = {("slider-crank", "implicit")}
 
 
 def problem(scene, rung, duration=2e-3):
     make, length = SCENES[scene]
-    rig = make(rung != "non-colliding")
-    return jc.Problem(
-        rig,
-        {"first": lambda run: run.states[-1, 0], "last": lambda run: run.states[-1, -1]},
-        {"length": jc.Variable(length, jc.distribution.Uniform(2e-3))},
-        duration=duration,
-        integrator=RUNGS[rung],
-        save=5,
-    )
+    ends = {"first": lambda run: run.states[-1, 0], "last": lambda run: run.states[-1, -1]}
+    varied = {"length": jc.Variable(length, jc.distribution.Uniform(2e-3))}
+    how = {"duration": duration, "integrator": RUNGS[rung], "save": 5}
+    return jc.Problem(make(rung != "non-colliding"), ends, varied, **how)
 
 
 def cases():
@@ -77,17 +65,14 @@ def test_a_batch_equals_its_samples_and_a_sample_runs_again_bit_for_bit(scene, r
     study = jc.monte_carlo(question, 11, chunk=8)
     assert len(study.failed) == 0
     alone = jax.jit(lambda values: question.evaluate(values).responses)
+    near = ROUNDING_OF_STEPS if rung == "adaptive" else ROUNDING
     for index in (0, 5, 10):
         # Copies of the sample in the other lanes, and another program around its loop.
         run, found = study.rerun(index), alone(jnp.asarray(study.values[index]))
         assert run.succeeded
         for name, response in question.response.items():
             assert response(run) == study.responses[name][index]
-            np.testing.assert_allclose(
-                found[name],
-                response(run),
-                rtol=ROUNDING_OF_STEPS if rung == "adaptive" else ROUNDING,
-            )
+            np.testing.assert_allclose(found[name], response(run), rtol=near)
 
 
 class Fake:
@@ -133,7 +118,7 @@ def test_a_program_is_looked_up_once_and_gives_what_it_gives_among_others(monkey
     assert batch.Program(jc.FunctionProblem(solved, varied)).compiled(values[:4])
 
 
-HANGS = """
+SLIDER_CRANK = """
 import jax
 import jax.numpy as jnp
 import jaxclear as jc
@@ -147,22 +132,8 @@ def solved(run):
 varied = {"c": jc.Variable(lambda r: r.connections["B"].joint.clearance, tolerance=1e-6)}
 step = jc.integrator.FixedStep(1e-5)
 asked = jc.Problem(rig, solved, varied, duration=1e-4, integrator=step, save=3)
-for seed in range(4):
-    study = jc.monte_carlo(asked, 256, chunk=64, seed=seed)
-assert len(study.failed) == 0
-print("ended")
+chunk = 64
 """
-
-
-@pytest.mark.slow
-def test_chunks_whose_responses_call_lapack_do_not_wait_for_each_other():
-    """Two at once, each in a thread of XLA's pool that waits for that pool, wait for ever."""
-    done = subprocess.run(
-        [sys.executable, "-c", HANGS], capture_output=True, text=True, timeout=120
-    )
-    assert done.stdout == "ended\n", done.stderr[-2000:]
-
-
 ANTENNA = """
 import jaxclear as jc
 rig = jc.scenes.antenna("spatial", friction="regularised")
@@ -170,15 +141,20 @@ arm = jc.Variable(lambda r: r.connections["J2"].parent.at[2], tolerance=1e-3)
 step = jc.integrator.ImplicitStep(1e-4)
 end = lambda run: run.states[-1, 0]
 asked = jc.Problem(rig, end, {"arm": arm}, duration=1e-3, integrator=step, save=3)
+chunk = None
+"""
+SAMPLE = """
 for seed in range(5):
-    jc.monte_carlo(asked, 256, seed=seed)
+    study = jc.monte_carlo(asked, 256, chunk=chunk, seed=seed)
+assert len(study.failed) == 0
 print("ended")
 """
 
 
 @pytest.mark.slow
-def test_the_antenna_s_chunks_end():
-    done = subprocess.run(
-        [sys.executable, "-c", ANTENNA], capture_output=True, text=True, timeout=300
-    )
+@pytest.mark.parametrize("problem", [SLIDER_CRANK, ANTENNA], ids=["slider-crank", "antenna"])
+def test_chunks_do_not_wait_for_each_other(problem):
+    """Two at once whose responses call LAPACK, each in a thread of XLA's pool, waited for ever."""
+    command = [sys.executable, "-c", problem + SAMPLE]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300)
     assert done.stdout == "ended\n", done.stderr[-2000:]

@@ -1,6 +1,5 @@
 """Campaigns that are asked for more samples, or for an accuracy: they go on from what is there, and
-end as one that was asked for all of it at once.
-"""
+end as one that was asked for all of it at once."""
 
 from pathlib import Path
 
@@ -38,8 +37,7 @@ def written(monkeypatch):
 
 
 def test_more_samples_go_on_from_those_that_are_there(whole, tmp_path, written):
-    """From less than a batch, by a chunk that is not full, to the end of one, and on: the same
-    bytes as from one call."""
+    """Through parts of batches and of chunks: the same bytes as from one call."""
     place = tmp_path / "kept"
     for samples, chunks in ((100, [0]), (5000, [0, 1]), (8192, [1]), (10_000, [2]), (10_000, [])):
         written.clear()
@@ -71,8 +69,7 @@ def test_an_earlier_look_at_a_folder_stays_what_it_was(tmp_path):
     values = before.values
     campaign(10_000, tmp_path)
     again = jc.open_campaign(tmp_path, problem())
-    assert before.finished == 5000
-    assert again.finished == 10_000
+    assert before.finished == 5000 and again.finished == 10_000
     assert np.array_equal(again.values[:5000], values)
     with pytest.raises(ValueError, match=r"with samples=10000, more than 5000\. Ask for as many"):
         campaign(5000, tmp_path)
@@ -110,8 +107,7 @@ def test_who_has_finished_leaves_alone_what_others_write_for_more_samples(
 
     monkeypatch.setattr(Path, "replace", slow)
     campaign(10_000, tmp_path)
-    assert tidied
-    assert contents(tmp_path) == contents(whole)
+    assert tidied and contents(tmp_path) == contents(whole)
 
 
 def test_what_no_chunk_is_finished_of_says_so(tmp_path):
@@ -165,8 +161,7 @@ def test_an_accuracy_decides_how_many_samples_there_are(tmp_path, written, monke
 def test_who_asked_for_fewer_gets_these_where_another_asks_for_more_meanwhile(
     tmp_path, monkeypatch
 ):
-    """It is at its last chunk, which is not full, when the other one comes; and the folder goes
-    on to the larger number."""
+    """It is at its last chunk, which is not full, when the other one comes."""
     write, come = Samples.write, []
 
     def late(self, number, *own):
@@ -177,8 +172,7 @@ def test_who_asked_for_fewer_gets_these_where_another_asks_for_more_meanwhile(
     with monkeypatch.context() as patched:
         patched.setattr(Samples, "write", late)
         found = campaign(5000, tmp_path)
-    assert come
-    assert found.finished == found.count == found.to_dataset().sizes["sample"] == 5000
+    assert come and found.finished == found.count == found.to_dataset().sizes["sample"] == 5000
     assert_same_study(found.sample, jc.monte_carlo(problem(), 5000, seed=3))
     again = jc.open_campaign(tmp_path)
     assert (again.finished, again.count) == (4096, 10_000)
@@ -196,9 +190,8 @@ def test_a_folder_keeps_its_scramblings_where_none_are_asked_for(tmp_path):
 def test_what_was_to_be_smaller_than_a_batch_grows_in_whole_ones(tmp_path):
     """Begun for an accuracy, with less than a batch at the most."""
     jc.campaign(problem(), 1000, folder=tmp_path, seed=3, accuracy=1e-9)
-    found = jc.campaign(problem(), 5000, folder=tmp_path, seed=3)
-    assert found.plan.batch == 4096
-    assert found.plan.chunk % found.plan.batch == 0
+    plan = jc.campaign(problem(), 5000, folder=tmp_path, seed=3).plan
+    assert plan.batch == 4096 and plan.chunk % plan.batch == 0
 
 
 def test_what_a_chunk_held_that_is_to_have_more_samples_is_not_shown(tmp_path):

@@ -62,8 +62,7 @@ def test_killed_twenty_times_and_resumed_is_the_same_bit_for_bit(whole, tmp_path
     processes.set_forkserver_preload(["jaxclear", "tests.studies.test_campaign"])
     alive = 0
     for _ in range(20):
-        before = marks(place)
-        one = processes.Process(target=run_slowly, args=(place,))
+        before, one = marks(place), processes.Process(target=run_slowly, args=(place,))
         one.start()
         wanted = before + chance.randint(0, 8)
         while marks(place) < wanted and one.is_alive():
@@ -73,8 +72,7 @@ def test_killed_twenty_times_and_resumed_is_the_same_bit_for_bit(whole, tmp_path
         os.kill(one.pid, signal.SIGKILL)
         one.join()
         assert marks(place) >= before
-    assert alive == 20
-    assert 20 < marks(place) < COUNT
+    assert alive == 20 and 20 < marks(place) < COUNT
     run(place)
     assert contents(place) == contents(whole)
 

@@ -3,7 +3,6 @@ published formulas, and sentences for what cannot be asked."""
 
 import dataclasses
 import itertools
-import time
 
 import jax
 import jax.numpy as jnp
@@ -21,6 +20,7 @@ from jaxclear.studies.design.runs import Runs
 from jaxclear.studies.design.verification import Verifier
 from jaxclear.studies.scrambling import scrambled_shares
 from tests.rigs import positioned_four_bar
+from tests.rigs.refusals import refusals
 
 NAMES = ("a", "b", "c", "d")
 NOMINAL = np.array([0.02, 0.03, 0.045, 0.0055])
@@ -108,21 +108,12 @@ def test_exponential_costs_meet_the_closed_form_and_its_price():
 
 @pytest.mark.slow
 def test_the_worst_case_meets_its_closed_form():
-    found = jc.design(
-        problem(), reciprocal(), jc.limit.WorstCase("gap", at_least=GAP - ROOM), tolerance=WIDE
-    )
+    worst = jc.limit.WorstCase("gap", at_least=GAP - ROOM)
+    found = jc.design(problem(), reciprocal(), worst, tolerance=WIDE)
     shape = np.sqrt(PRICED / abs(SLOPES))
     best = shape * ROOM / (abs(SLOPES) @ shape)
     np.testing.assert_allclose(found.cost, (PRICED / best).sum(), rtol=1e-6)
     np.testing.assert_allclose(found.numbers, [GAP - ROOM], rtol=1e-9)
-
-
-@pytest.mark.slow
-def test_optax_finds_what_slsqp_finds():
-    settings = jc.DesignSettings(method="optax")
-    found = jc.design(problem(), reciprocal(), MEAN, tolerance=WIDE, settings=settings)
-    np.testing.assert_allclose(found.cost, optimum(3)[1], rtol=1e-4)
-    np.testing.assert_allclose(found.prices, [optimum(3)[2]], rtol=1e-2)
 
 
 @pytest.mark.slow
@@ -179,11 +170,14 @@ def test_quantiles_and_rare_shares_meet_the_closed_form(limit, deviations, error
 
 
 @pytest.mark.slow
-def test_a_surface_stands_in_for_the_problem():
-    settings = jc.DesignSettings(surface=True)
-    found = jc.design(problem(), reciprocal(), MEAN, tolerance=WIDE, settings=settings)
-    np.testing.assert_allclose(found.cost, optimum(3)[1], rtol=1e-3)
-    assert found.holds and found.runs < 1000
+@pytest.mark.parametrize("how", [{"method": "optax"}, {"surface": True}])
+def test_optax_and_a_surface_meet_the_closed_form(how):
+    found = jc.design(
+        problem(), reciprocal(), MEAN, tolerance=WIDE, settings=jc.DesignSettings(**how)
+    )
+    np.testing.assert_allclose(found.cost, optimum(3)[1], rtol=1e-3 if "surface" in how else 1e-4)
+    np.testing.assert_allclose(found.prices, [optimum(3)[2]], rtol=1e-2)
+    assert found.holds and (found.runs < 1000 or "method" in how)
 
 
 @pytest.mark.slow
@@ -227,61 +221,31 @@ def test_what_cannot_be_kept_is_said():
 
 @pytest.mark.slow
 def test_a_front_falls_with_the_bound():
-    bounds = [GAP + 20e-6, GAP + 30e-6, GAP + 40e-6]
+    bounds = [GAP + 1e-6 * room for room in (20, 30, 40)]
     found = jc.pareto_front(problem(), reciprocal(), MEAN, bounds, tolerance=WIDE)
     costs = np.array([one.cost for one in found])
     np.testing.assert_allclose(costs * [20, 30, 40], optimum(3)[1] * 30, rtol=1e-3)
 
 
 @pytest.mark.slow
-def test_a_store_gives_back_what_it_has(tmp_path):
-    settings = jc.DesignSettings(surface=True)
-    asked = [problem(), reciprocal(), MEAN]
-    first = jc.design(*asked, tolerance=WIDE, settings=settings, store=tmp_path / "kept")
-    again = jc.design(*asked, tolerance=WIDE, settings=settings, store=tmp_path / "kept")
-    assert first.computed == first.runs + -first.runs % 32 or first.computed >= first.runs
-    assert again.computed == 0 and again.cost == first.cost
-
-
-@pytest.mark.slow
 def test_an_interrupt_keeps_the_best(monkeypatch):
-    from jaxclear.studies.design import verification
-
     def interrupted(*args, **kwargs):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(verification.Verifier, "check", interrupted)
+    monkeypatch.setattr(Verifier, "check", interrupted)
     found = jc.design(problem(), reciprocal(), MEAN, tolerance=WIDE)
     np.testing.assert_allclose(found.cost, optimum(3)[1], rtol=1e-3)
     assert not found.holds and "Not verified" in found.sentence()
     assert "Interrupted" in found.sentence()
 
 
-def test_iso_286_follows_its_own_formula():
-    """i = 0.45 D^(1/3) + 0.001 D of the geometric mean of each step; the standard rounds, up to a
-    tenth, in the smallest step a seventh."""
-    multiples = {5: 7, 6: 10, 7: 16, 8: 25, 9: 40, 10: 64, 11: 100, 12: 160, 13: 250, 16: 1000}
-    ends = [1, 3, 6, 10, 18, 30, 50, 80, 120, 180, 250, 315, 400, 500]
-    for low, high in itertools.pairwise(ends):
-        middle = np.sqrt(low * high)
-        unit = 0.45 * middle ** (1 / 3) + 0.001 * middle
-        for grade, many in multiples.items():
-            found = standard_width(1e-3 * high, grade)
-            assert found == pytest.approx(many * unit, rel=0.155 if high == 3 else 0.1)
+WIDTHS = [
+    *((3, 11, 60), (6, 11, 75), (6.1, 11, 90), (20, 7, 21), (30, 6, 13), (50, 16, 1600)),
+    (500, 18, 9700),
+]
 
 
-@pytest.mark.parametrize(
-    ("size", "grade", "width"),
-    [
-        (3, 11, 60),
-        (6, 11, 75),
-        (6.1, 11, 90),
-        (20, 7, 21),
-        (30, 6, 13),
-        (50, 16, 1600),
-        (500, 18, 9700),
-    ],
-)
+@pytest.mark.parametrize(("size", "grade", "width"), WIDTHS)
 def test_iso_286_has_the_published_widths(size, grade, width):
     assert standard_width(1e-3 * size, grade) == width
     half = jc.catalogue.ISO286(1e-3 * size, [grade]).numbers()[0]
@@ -369,77 +333,58 @@ COSTS = [
 ]
 
 
-def test_every_cost_has_its_formula_here():
+def test_every_cost_has_its_formula_here_and_falls_with_the_tolerance():
     members = jc.cost.AbstractCost.__subclasses__()
     ours = {kind.__name__ for kind in members if kind.__module__.startswith("jaxclear.")}
     assert ours == {type(cost).__name__ for cost, _ in COSTS}
+    for cost, value in COSTS:
+        assert float(cost(jnp.asarray(2.0))) == pytest.approx(value)
+        for width in (1.1, 2.0, 3.9):
+            assert jax.grad(cost)(jnp.asarray(width)) < 0
 
 
-@pytest.mark.parametrize(("cost", "value"), COSTS)
-def test_costs_fall_with_the_tolerance(cost, value):
-    assert float(cost(jnp.asarray(2.0))) == pytest.approx(value)
-    for width in (1.1, 2.0, 3.9):
-        assert jax.grad(cost)(jnp.asarray(width)) < 0
+def designed(problem=None, cost=None, limits=MEAN, **how):
+    """A design of the stack, but for what is given."""
+    problem, cost = problem or STACK, reciprocal() if cost is None else cost
+    return jc.design(problem, cost, limits, **{"tolerance": WIDE} | how)
 
 
-def asked(**changed):
-    known = {
-        "problem": problem(),
-        "cost": reciprocal(),
-        "limits": MEAN,
-        "tolerance": WIDE,
-    } | changed
-    return jc.design(known.pop("problem"), known.pop("cost"), known.pop("limits"), **known)
-
-
-REFUSED = [
-    ({"problem": 3}, "what is designed is 3; it must be a problem of jaxclear"),
-    ({"tolerance": None}, "nothing is left open"),
-    ({"tolerance": {"e": (1, 2)}}, 'no variable "e" in this problem'),
-    ({"tolerance": {"a": 3}}, 'tolerance of "a" is 3; it must be \\(smallest, largest\\)'),
-    ({"tolerance": {"a": (0, 1)}}, 'smallest tolerance of "a" is 0'),
-    ({"tolerance": {"a": (2e-5, 1e-5)}}, 'largest tolerance of "a" is 1e-05'),
-    ({"cost": {}}, "cost of design is empty"),
-    ({"cost": {"a": 3}}, 'cost of "a" is 3; it must be one of jaxclear.cost'),
-    ({"cost": {"a": jc.cost.Reciprocal(1.0)}}, 'tolerance of "b" is free and costs nothing'),
-    (
-        {"cost": reciprocal() | {"a": jc.cost.Table([1e-5, 2e-5], [2, 1])}},
-        'cost of "a" is known for tolerances from 1e-05 to 2e-05',
-    ),
-    ({"limits": []}, "limits of design are an empty list"),
-    ({"limits": jc.limit.Quantile("gop", at_most=1, share=0.9)}, 'no response "gop"'),
-    ({"settings": 3}, "settings of design is 3"),
-]
-
-
-@pytest.mark.parametrize(("changed", "sentence"), REFUSED)
-def test_what_cannot_be_asked_is_refused(changed, sentence):
-    with pytest.raises(ValueError, match=sentence):
-        asked(**changed)
-
-
-def test_limits_that_contradict_themselves_are_refused():
-    with pytest.raises(ValueError, match="takes at_most or at_least; give one of the two"):
-        jc.limit.Quantile("gap", share=0.9)
-    with pytest.raises(ValueError, match="takes above, below or both; give one"):
-        jc.limit.Probability("gap", at_most=0.1)
-    with pytest.raises(ValueError, match="above must be the larger"):
-        jc.limit.Probability("gap", above=1.0, below=2.0, at_most=0.1)
-    with pytest.raises(ValueError, match="do not rise"):
-        jc.cost.Table([2.0, 1.0], [1.0, 2.0])
-    with pytest.raises(ValueError, match="finest = 2 and coarsest = 1; coarsest must be"):
-        jc.cost.Process(jc.cost.Reciprocal(1.0), 2.0, 1.0)
-    with pytest.raises(ValueError, match="cost.Processes is empty"):
-        jc.cost.Processes({})
-    with pytest.raises(ValueError, match='no grade of catalogue.ISO286 "IT3"'):
-        jc.catalogue.ISO286(0.02, [3])
-
-
-@pytest.mark.slow
-def test_designs_are_quick():
-    begun = time.process_time()
-    jc.design(problem(), reciprocal(), MEAN, tolerance=WIDE)
-    assert time.process_time() - begun < 20
+STACK, SHORT = problem(), {"a": jc.cost.Table([1e-5, 2e-5], [2, 1])}
+limit, cost = jc.limit, jc.cost
+test_what_cannot_be_asked_is_refused = refusals(
+    {
+        "what is designed is 3; it must be a problem of jaxclear": lambda: designed(3),
+        "nothing is left open": lambda: designed(tolerance=None),
+        'no variable "e" in this problem': lambda: designed(tolerance={"e": (1, 2)}),
+        'tolerance of "a" is 3; it must be \\(smallest, largest\\)': lambda: designed(
+            tolerance={"a": 3}
+        ),
+        'smallest tolerance of "a" is 0': lambda: designed(tolerance={"a": (0, 1)}),
+        'largest tolerance of "a" is 1e-05': lambda: designed(tolerance={"a": (2e-5, 1e-5)}),
+        "cost of design is empty": lambda: designed(cost={}),
+        'cost of "a" is 3; it must be one of jaxclear.cost': lambda: designed(cost={"a": 3}),
+        'tolerance of "b" is free and costs nothing': lambda: designed(
+            cost={"a": cost.Reciprocal(1.0)}
+        ),
+        'cost of "a" is known for tolerances from 1e-05 to 2e-05': lambda: designed(
+            cost=reciprocal() | SHORT
+        ),
+        "limits of design are an empty list": lambda: designed(limits=[]),
+        'no response "gop"': lambda: designed(limits=limit.Quantile("gop", at_most=1, share=0.9)),
+        "settings of design is 3": lambda: designed(settings=3),
+        "takes at_most or at_least; give one of the two": lambda: limit.Quantile("gap", share=0.9),
+        "takes above, below or both; give one": lambda: limit.Probability("gap", at_most=0.1),
+        "above must be the larger": lambda: limit.Probability(
+            "gap", above=1.0, below=2.0, at_most=0.1
+        ),
+        "do not rise": lambda: cost.Table([2.0, 1.0], [1.0, 2.0]),
+        "finest = 2 and coarsest = 1; coarsest must be": lambda: cost.Process(
+            cost.Reciprocal(1.0), 2.0, 1.0
+        ),
+        "cost.Processes is empty": lambda: cost.Processes({}),
+        'no grade of catalogue.ISO286 "IT3"': lambda: jc.catalogue.ISO286(0.02, [3]),
+    }
+)
 
 
 @pytest.mark.slow
@@ -461,8 +406,7 @@ def test_a_design_whose_parts_cannot_be_made_does_not_hold():
 
 
 def test_a_limit_whose_error_crosses_its_bound_is_not_said_to_hold(plain):
-    """A share that 16 runs say is kept is known to them no better than to itself; one known as well
-    as was asked keeps its word."""
+    """One known as well as was asked keeps its word."""
     last = plain.rounds[-1]
     check = last.check._replace(excess=np.array([-0.01]), excess_errors=np.array([0.02]))
     assert list(check.holds(0.005)) == [False]
@@ -476,15 +420,14 @@ def test_a_limit_whose_error_crosses_its_bound_is_not_said_to_hold(plain):
     assert plain.holds and "not known to hold" not in plain.sentence()
 
 
+SKEWED = pytest.param(jnp.exp, 100, 6, marks=pytest.mark.slow, id="skewed")
+
+
 @pytest.mark.parametrize(
     ("function", "seeds", "most"),
-    [
-        (lambda total: total, 8, 1),
-        pytest.param(jnp.exp, 100, 6, marks=pytest.mark.slow),
-    ],
-    ids=["straight", "skewed"],
+    [pytest.param(lambda total: total, 8, 1, id="straight"), SKEWED],
 )
-@pytest.mark.parametrize("kind", ["quantile", "share"])
+@pytest.mark.parametrize("kind", ["quantile", "share", "moments"])
 def test_limits_by_a_surface_are_said_to_hold_as_seldom_as_their_interval_says(
     function, seeds, most, kind
 ):
@@ -495,13 +438,17 @@ def test_limits_by_a_surface_are_said_to_hold_as_seldom_as_their_interval_says(
     spread = {name: jc.Dimension(0.0, normal(s)) for name, s in (("a", 0.6), ("b", 0.8))}
     asked = jc.FunctionProblem(lambda a, b: {"error": function(a + b)}, spread)
     level = float(function(norm.ppf(0.97)))
+    # Moments hold less often: of a lognormal the samples hardly know how skewed they are.
+    lognormal = np.exp(0.5) * (1 + 3 * np.sqrt(np.e - 1))
+    moments = lognormal if function is jnp.exp else 3.0
+    most = 2 * most if kind == "moments" else most
     limit = {
+        "moments": jc.limit.MeanAndDeviation("error", at_most=moments),
         "quantile": jc.limit.Quantile("error", at_most=level, share=0.97),
         "share": jc.limit.Probability("error", above=level, at_most=0.03),
     }[kind]
-    question = Question(
-        freedom_of(asked, {"a": (-1.0, 1.0)}, None, []), {}, (limit,), asked.inputs, np.ones(1)
-    )
+    freedom = freedom_of(asked, {"a": (-1.0, 1.0)}, None, [])
+    question = Question(freedom, {}, (limit,), asked.inputs, np.ones(1))
     runs, rng = Runs(asked, False, 128), np.random.default_rng(0)
     place = np.array([0.5])
     values = np.asarray(question.values(place, 3 * (2 * scrambled_shares(64, 2, rng) - 1)))
@@ -513,7 +460,7 @@ def test_limits_by_a_surface_are_said_to_hold_as_seldom_as_their_interval_says(
     numbers = np.array([abs(c.numbers[0] - limit.bound()) <= c.errors[0] for c in checks])
     assert np.sum(~numbers) <= 2 * most
     # Not by errors that say nothing.
-    assert np.median(error) < 0.1 * level
+    assert np.median(error) < (0.6 if kind == "moments" else 0.1) * level
 
 
 def _turned(a, b):
@@ -541,20 +488,14 @@ def _designed_directly(function, bound):
     return jc.design(problem, price, limit, tolerance=free, settings=settings)
 
 
-@pytest.mark.parametrize(
-    ("function", "sentence"),
-    [
-        (_without_slopes, "deviations of response has no finite derivative by the tolerance"),
-        (_called, "goes by derivatives where there is no surface, and JAX has no derivative"),
-    ],
-)
-def test_a_design_without_a_surface_says_what_has_no_derivative(function, sentence):
-    """SciPy said that its arrays must not contain infs or NaNs, JAX that callbacks have none."""
-    with pytest.raises(ValueError, match=sentence):
-        _designed_directly(function, 2.1)
-
-
-def test_a_design_without_a_surface_takes_forward_derivatives_of_a_loop():
-    """To first order a b^3 varies by t_a + 3 t_b, so that with equal prices t_a = 9^(1/3) t_b."""
+def test_a_design_without_a_surface_takes_derivatives_or_says_what_has_none():
+    """Of a loop it takes forward ones: to first order a b^3 varies by t_a + 3 t_b, so that with
+    equal prices t_a = 9^(1/3) t_b."""
     design = _designed_directly(_turned, 1.05)
     assert design.tolerances["a"] / design.tolerances["b"] == pytest.approx(9 ** (1 / 3), rel=0.05)
+    for function, sentence in (
+        (_without_slopes, "deviations of response has no finite derivative by the tolerance"),
+        (_called, "goes by derivatives where there is no surface, and JAX has no derivative"),
+    ):
+        with pytest.raises(ValueError, match=sentence):
+            _designed_directly(function, 2.1)

@@ -62,8 +62,7 @@ def limits(hole, shaft):
 
 
 def share_outside(halves, means):
-    """Of pairs whose clearance is not 5 to 45 um: sizes are normal, three deviations to either
-    limit, and cut off there."""
+    """Of pairs whose clearance is not 5 to 45 um; sizes are normal, cut off at the limits."""
     hole, shaft = (
         scipy.stats.truncnorm(-3, 3, m, t / 3) for t, m in zip(halves, means, strict=True)
     )
@@ -73,13 +72,12 @@ def share_outside(halves, means):
 
 
 def test_classes_of_a_fit_are_the_cheapest_of_all_pairs():
-    """H7/g7 at 3.81, the next two H5/g8 and H8/g5 at 4.43: means follow the class."""
-    pairs = {pair: limits(*pair) for pair in itertools.product(WIDTHS, WIDTHS)}
+    """H7/g7 at 3.81, of which the means follow the class."""
+    pairs = {pair: limits(*pair) for pair in itertools.product(range(6, 9), repeat=2)}
     kept = {p: price(own[0]) for p, own in pairs.items() if share_outside(*own) <= 1e-3}
-    best = sorted(kept, key=kept.get)
-    assert best[0] == (7, 7) and {best[1], best[2]} == {(5, 8), (8, 5)}
+    assert min(kept, key=kept.get) == (7, 7) and 1 < len(kept) < len(pairs)
     limit = jc.limit.Probability("clearance", below=5 * UM, above=45 * UM, at_most=1e-3)
-    choose = {"B": jc.catalogue.Fits("H5..H9/g5..g9")}
+    choose = {"B": jc.catalogue.Fits("H6..H8/g6..g8")}
     found = jc.design(drawn(), PRICES, limit, choose=choose)
     assert found.holds and found.cost == pytest.approx(kept[7, 7], rel=1e-9)
     assert list(found.table()["catalogue"]) == ["H7", "g7"]
@@ -111,28 +109,25 @@ def test_the_size_of_a_zone_is_chosen_with_the_classes():
 Fits, GROWN = jc.catalogue.Fits, T.Position(30e-6, marker="B.parent", at_mmc="B")
 LEAST, RANGES = T.Position(30e-6, marker="B.parent", at_lmc="B hole"), "H6..H8/g5..g7"
 REACH = jc.limit.MeanAndDeviation("reach", at_most=50e-6)
-WRONG = [
-    ({"B": "H6..H8"}, "", {}, "catalogue.Fits, such as"),
-    ({"B": "H17..H19/g5..g7"}, Fits, {}, "no grade 19"),
-    ({"B": "H6..H8/p5..p7"}, Fits, {}, "press fit|transition fit"),
-    ({"B": "H8/g5..g7"}, Fits, {}, "on the drawing"),
-    ({"C": RANGES}, Fits, {}, 'no line "C"'),
-    (
-        {"length": RANGES},
-        Fits,
-        {"length": T.Size(lambda m: m.bodies["rod"].mass, 0.1)},
-        "a fit or a zone",
-    ),
-    ({"hole": (8e-6, 5e-5)}, "", {"hole": GROWN}, "cannot be chosen"),
-    ({"B": RANGES}, Fits, {"hole": LEAST}, "depends on the class"),
-]
+HEAVY = {"length": T.Size(lambda m: m.bodies["rod"].mass, 0.1)}
+# The sentence, what is chosen, the lines of the drawing.
+WRONG = {
+    "catalogue.Fits, such as": (lambda: {"B": "H6..H8"}, {}),
+    "no grade 19": (lambda: {"B": Fits("H17..H19/g5..g7")}, {}),
+    "press fit|transition fit": (lambda: {"B": Fits("H6..H8/p5..p7")}, {}),
+    "on the drawing": (lambda: {"B": Fits("H8/g5..g7")}, {}),
+    'no line "C"': (lambda: {"C": Fits(RANGES)}, {}),
+    "a fit or a zone": (lambda: {"length": Fits(RANGES)}, HEAVY),
+    "cannot be chosen": (lambda: {"hole": (8e-6, 5e-5)}, {"hole": GROWN}),
+    "depends on the class": (lambda: {"B": Fits(RANGES)}, {"hole": LEAST}),
+}
 
 
-@pytest.mark.parametrize(("choose", "kind", "lines", "sentence"), WRONG)
-def test_what_cannot_be_chosen_of_a_drawing_gets_a_sentence(choose, kind, lines, sentence):
+@pytest.mark.parametrize("sentence", WRONG)
+def test_what_cannot_be_chosen_of_a_drawing_gets_a_sentence(sentence):
+    choose, lines = WRONG[sentence]
     with pytest.raises(ValueError, match=sentence):
-        own = {name: kind(text) if kind else text for name, text in choose.items()}
-        jc.design(drawn(**lines), PRICES, REACH, choose=own)
+        jc.design(drawn(**lines), PRICES, REACH, choose=choose())
 
 
 def test_ranges_of_classes_are_of_one_letter_and_rise():

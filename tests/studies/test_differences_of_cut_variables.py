@@ -8,15 +8,10 @@ import jaxclear as jc
 
 def test_a_share_near_the_end_of_a_distribution_is_not_confirmed_by_a_step_beyond_it():
     """Half of how far the end moves, but for what y holds back. A step of a deviation passes the
-    end, and its extrapolation says 0.34 with a scatter of 0.08: the error holds the density that
-    ends there."""
-    problem = jc.FunctionProblem(
-        lambda x, y: x + 0.1 * y,
-        {
-            "x": jc.Dimension(0.0, jc.distribution.Uniform(1.0)),
-            "y": jc.Dimension(0.0, jc.distribution.Normal(0.3)),
-        },
-    )
+    end; the error holds the density that ends there."""
+    spread = {"x": jc.distribution.Uniform(1.0), "y": jc.distribution.Normal(0.3)}
+    numbers = {name: jc.Dimension(0.0, own) for name, own in spread.items()}
+    problem = jc.FunctionProblem(lambda x, y: x + 0.1 * y, numbers)
     wanted = 0.5 * scipy.stats.norm.cdf(0.1 / 0.03)
     for seed in (2, 3, 7):
         (found,) = jc.sensitivity(problem, "x", of=[("above", 0.9)], seed=seed).derivatives.values()

@@ -1,6 +1,5 @@
 """Distributions are scipy's, there and back, with their slopes; together they are correlated as
-asked and keep their own spread.
-"""
+asked and keep their own spread."""
 
 import equinox as eqx
 import jax
@@ -13,6 +12,7 @@ import jaxclear as jc
 from jaxclear.ground.array_functions import on_host
 from jaxclear.studies.inputs import correlation_matrix, joint
 from jaxclear.studies.sampling import draw
+from tests.rigs.refusals import refusals
 
 D = jc.distribution
 TABLED = {
@@ -127,18 +127,17 @@ def test_discrete_parts_come_in_their_shares():
 
 @pytest.mark.slow
 def test_a_distribution_of_ones_own_needs_a_quantile_and_a_deviation():
-    class Cosine(D.AbstractDistribution):
-        """Density in proportion to cos(x) on +-pi/2."""
+    """Density in proportion to cos(x) on +-pi/2."""
 
+    class Cosine(D.AbstractDistribution):
         def quantile(self, share):
             return jnp.arcsin(2.0 * share - 1.0)
 
         def deviation(self):
             return np.sqrt(np.pi**2 / 4 - 2)
 
-    own = Cosine()
     x = jnp.linspace(-1.4, 1.4, 15)
-    np.testing.assert_allclose(own.score(x), stats.norm.ppf((1 + np.sin(x)) / 2), atol=1e-12)
+    np.testing.assert_allclose(Cosine().score(x), stats.norm.ppf((1 + np.sin(x)) / 2), atol=1e-12)
 
 
 def test_correlated_variables_keep_their_own_spread_and_rank_correlation():
@@ -168,28 +167,23 @@ def test_values_are_differentiated_by_nominal_values_and_widths():
     np.testing.assert_allclose(by_width, np.diag([0.05, uniform]), rtol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("call", "sentence"),
-    [
-        (lambda: D.FromScipy(stats.norm), "must be a continuous distribution of scipy.stats"),
-        (lambda: D.FromScipy(stats.poisson(3)), "must be a continuous distribution"),
-        (lambda: D.FromScipy(stats.cauchy()), "finite standard deviation"),
-        (lambda: D.Triangular(low=1.0, high=0.0), "in this order"),
-        (lambda: D.Discrete((1.0, 1.0)), "two or more numbers that rise"),
-        (lambda: D.Discrete((1.0, 2.0), (1.0,)), "1 shares for 2 deviations"),
-        (lambda: correlation_matrix({("a", "z"): 0.1}, "ab"), 'no variable "z" in this problem'),
-        (lambda: correlation_matrix({("a", "b"): 1.0}, "ab"), "above -1 and below 1"),
-        (lambda: correlation_matrix({"a": 1.0}, "ab"), "must be a pair"),
-        (lambda: correlation_matrix([[1.0]], "ab"), "must be a symmetric matrix"),
-        (
-            lambda: correlation_matrix({("a", "b"): 0.9, ("b", "c"): 0.9, ("a", "c"): -0.9}, "abc"),
-            "one that no numbers can have",
+test_mistakes_get_a_sentence = refusals(
+    {
+        "must be a continuous distribution of scipy.stats": lambda: D.FromScipy(stats.norm),
+        "must be a continuous distribution": lambda: D.FromScipy(stats.poisson(3)),
+        "finite standard deviation": lambda: D.FromScipy(stats.cauchy()),
+        "in this order": lambda: D.Triangular(low=1.0, high=0.0),
+        "two or more numbers that rise": lambda: D.Discrete((1.0, 1.0)),
+        "1 shares for 2 deviations": lambda: D.Discrete((1.0, 2.0), (1.0,)),
+        'no variable "z" in this problem': lambda: correlation_matrix({("a", "z"): 0.1}, "ab"),
+        "above -1 and below 1": lambda: correlation_matrix({("a", "b"): 1.0}, "ab"),
+        "must be a pair": lambda: correlation_matrix({"a": 1.0}, "ab"),
+        "must be a symmetric matrix": lambda: correlation_matrix([[1.0]], "ab"),
+        "one that no numbers can have": lambda: correlation_matrix(
+            {("a", "b"): 0.9, ("b", "c"): 0.9, ("a", "c"): -0.9}, "abc"
         ),
-    ],
+    }
 )
-def test_mistakes_get_a_sentence(call, sentence):
-    with pytest.raises(ValueError, match=sentence):
-        call()
 
 
 def rod(length=0.1, mass=2.0):
@@ -211,14 +205,9 @@ def test_numbers_follow_from_the_variables_that_they_are_derived_from():
         "centre": jc.Variable(where, tolerance=1e-3, derived=of_length(1 / 3)),
         "mass": jc.Variable(lambda rig: rig.bodies["rod"].mass, tolerance=0.1),
     }
-    problem = jc.Problem(
-        rod(),
-        lambda run: run.states[-1, 0],
-        varied,
-        duration=0.1,
-        save=2,
-        correlation={("centre", "mass"): 0.8},
-    )
+    alike = {("centre", "mass"): 0.8}
+    end = lambda run: run.states[-1, 0]
+    problem = jc.Problem(rod(), end, varied, duration=0.1, save=2, correlation=alike)
     moved = problem.with_values(jnp.array([0.06, 3.0]))
     np.testing.assert_allclose(moved.bodies["rod"].inertia, 3.0 * 0.06**2 / 3, rtol=1e-12)
     np.testing.assert_allclose(problem.inputs.correlation[0, 1], 0.8)
@@ -226,6 +215,6 @@ def test_numbers_follow_from_the_variables_that_they_are_derived_from():
     np.testing.assert_allclose(np.corrcoef(drawn.T)[0, 1], 0.8, atol=0.02)
     with pytest.raises(ValueError, match='"centre" derives a number that is .* at nominal, where'):
         wrong = {"centre": jc.Variable(where, tolerance=1e-3, derived=of_length(1 / 12))}
-        jc.Problem(rod(), lambda run: 0.0, wrong, duration=0.1)
+        jc.Problem(rod(), end, wrong, duration=0.1)
     with pytest.raises(ValueError, match="derived of a Variable holds .* pair of functions"):
         jc.Variable(where, tolerance=1e-3, derived=[where])

@@ -1,6 +1,5 @@
 """A sample's values are those of its number, whatever part of a study is drawn, and however large
-the study is.
-"""
+the study is."""
 
 import subprocess
 import sys

@@ -34,9 +34,8 @@ def steady_film(clearance):
     def halve(_, ends):
         middle = 0.5 * sum(ends)
         carried = size * middle * jnp.hypot(*OIL.force(middle, 0.0, -1.0, L / (2 * R)))
-        return jnp.where(carried < LOAD, middle, ends[0]), jnp.where(
-            carried < LOAD, ends[1], middle
-        )
+        low = carried < LOAD
+        return jnp.where(low, middle, ends[0]), jnp.where(low, ends[1], middle)
 
     ratio, _ = jax.lax.fori_loop(0, 50, halve, (jnp.asarray(0.01), jnp.asarray(0.999)))
     return clearance * (1 - ratio)
@@ -44,9 +43,8 @@ def steady_film(clearance):
 
 def end_of_film(run):
     """Film thickness as the run ends."""
-    return run.mechanism.connections["B"].joint.clearance - jnp.hypot(
-        *run.contact("B").offset[-1, :2]
-    )
+    clearance = run.mechanism.connections["B"].joint.clearance
+    return clearance - jnp.hypot(*run.contact("B").offset[-1, :2])
 
 
 def problem(**options):

@@ -1,6 +1,5 @@
 """What a study takes for the first time in a process: few programs, and none that another process
-has left.
-"""
+has left."""
 
 import json
 import os
@@ -60,8 +59,7 @@ def test_a_second_process_finds_the_programs_of_a_study(tmp_path):
 
 
 def test_few_samples_cost_what_their_chunk_does(monkeypatch):
-    """What a sample takes of memory is known of all mechanisms of one form; few samples share one
-    program."""
+    """Few samples share one program."""
     clearance = jc.Variable(lambda rig: rig.connections["B"].joint.clearance, tolerance=1e-6)
     problem = jc.Problem(
         jc.scenes.slider_crank(),

@@ -70,20 +70,3 @@ def test_a_sample_of_another_problem_is_refused(folder):
             study(other, sample=campaign)
         with pytest.raises(ValueError, match='of another problem .distribution of "a"'):
             study(other, sample=plain)
-
-
-@pytest.mark.slow
-def test_reliability_and_shapley_effects_are_kept_too(tmp_path, monkeypatch):
-    """Asked again, nothing is computed."""
-    limit = jc.limit_state.Above("response", 11.0)
-    asked = {
-        jc.reliability: {"limit": limit, "methods": ("form", "importance"), "variation": 0.5},
-        jc.shapley_effects: {"samples": 64},
-    }
-    for study, how in asked.items():
-        place = tmp_path / study.__name__
-        first = jc.campaign(problem(), folder=place, study=study, **how)
-        assert str(first) == str(study(problem(), **how))
-        with monkeypatch.context() as patched:
-            patched.setattr("jaxclear.studies.store.batch.Program.run", None)
-            assert str(jc.campaign(problem(), folder=place, study=study, **how)) == str(first)

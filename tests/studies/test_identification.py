@@ -1,18 +1,22 @@
 """What a record tells: the regression where the answer is known, what is asked wrongly, and one
-small machine with a hidden clearance.
-"""
+small machine with a hidden clearance."""
 
+import dataclasses
+import functools
 import types
 
 import equinox as eqx
 import jax
 import numpy as np
+import pandas
 import pytest
 
 import jaxclear as jc
 from jaxclear.studies.identification import identify, laws, regression, result
 from jaxclear.studies.identification.result import ends_in_words, unknown_of
 from jaxclear.studies.identification.sample import check_identifiable, check_window, window_end
+from tests.plot.identified import identified
+from tests.rigs.refusals import refusals
 
 LOSS = jc.contact.dissipation
 B = lambda rig: rig.connections["B"].joint
@@ -36,15 +40,14 @@ def fitted():
 def test_intervals_hold_what_they_promise_and_no_more(fitted):
     rng = np.random.default_rng(5)
     shares = rng.random((400, 3))
-    held = np.zeros((400, 3))
-    width = np.zeros((400, 3))
-    for i, own in enumerate(statistics(shares, rng)):
-        for k, one in enumerate(regression.predict(fitted, own)):
-            held[i, k] = one.low <= shares[i, k] <= one.high
-            width[i, k] = one.high - one.low
+    told = [regression.predict(fitted, own) for own in statistics(shares, rng)]
+    low, high = (
+        np.array([[getattr(x, end) for x in own] for own in told]) for end in ("low", "high")
+    )
+    inside = (low <= shares) & (shares <= high)
     # One sample serves all: its own scatter beside that of 400 trials.
-    assert np.all(np.abs(held.mean(0) - 0.95) < 0.03)
-    assert np.median(width[:, 0]) < 0.2
+    assert np.all(np.abs(inside.mean(0) - 0.95) < 0.03)
+    assert np.median((high - low)[:, 0]) < 0.2
     assert np.all(np.abs(regression.calibration(fitted).mean(0) - 0.95) < 0.02)
 
 
@@ -102,14 +105,11 @@ def test_a_record_unlike_any_run_is_noticed(fitted):
     rng = np.random.default_rng(7)
     like = statistics(rng.random((50, 3)), rng)
     assert np.mean([fitted.distance(own) < 0.01 for own in like]) < 0.1
-    strange = like[0].copy()
-    strange[0] += 3.0
-    assert fitted.distance(strange) < 0.01
+    assert fitted.distance(like[0] + 3.0 * np.eye(10)[0]) < 0.01
 
 
 def test_a_run_of_the_sample_is_not_strange_though_its_statistics_outnumber_the_runs():
-    """Three records of four were, where whitening had seen the runs that they were compared
-    with."""
+    """Three records of four were."""
     rng = np.random.default_rng(0)
     shares = rng.random((256, 1))
     shown = lambda at: np.append(at, 3 * at + rng.standard_normal(299))
@@ -124,23 +124,23 @@ def test_a_number_chooses_the_law():
     found = laws.ensemble(rig, None)
     assert found.names[laws.DISSIPATION] == ("LankaraniNikravesh", "Flores", "HuntCrossley")
     assert found.names[laws.FRICTION] == ("Ambrosio", "CoulombTanh")
-    joint = B(found.mechanism)
+
+    def chosen(kind, number):
+        return B(found.variables[kind].put("law", found.mechanism, float(number)))
+
     for number, name in enumerate(found.names[laws.DISSIPATION]):
-        variable = found.variables[laws.DISSIPATION]
-        chosen = B(variable.put("law", found.mechanism, float(number))).contact
-        law = getattr(LOSS, name)(restitution=chosen.restitution)
-        assert float(chosen.dissipation.relative_damping(0.1, 0.2)) == pytest.approx(
-            float(law.relative_damping(0.1, 0.2)), rel=1e-12
-        )
+        own = chosen(laws.DISSIPATION, number).contact
+        damping = lambda law: float(law.relative_damping(0.1, 0.2))
+        law = getattr(LOSS, name)(restitution=own.restitution)
+        assert damping(own.dissipation) == pytest.approx(damping(law), rel=1e-12)
     for number, name in enumerate(found.names[laws.FRICTION]):
-        variable = found.variables[laws.FRICTION]
-        chosen = B(variable.put("law", found.mechanism, float(number))).friction
+        own = chosen(laws.FRICTION, number).friction
         law = getattr(jc.friction, name)(mu_kinetic=0.03)
-        assert float(chosen.coefficient(1.0)) == pytest.approx(float(law.coefficient(1.0)))
+        assert float(own.coefficient(1.0)) == pytest.approx(float(law.coefficient(1.0)))
     # Where an unknown stood it still stands.
     moved = eqx.tree_at(lambda rig: B(rig).friction.mu_kinetic, found.mechanism, 0.2)
     assert float(B(moved).friction.coefficient(1.0)) == pytest.approx(0.2)
-    assert joint.contact.restitution == B(rig).contact.restitution
+    assert B(found.mechanism).contact.restitution == B(rig).contact.restitution
     alone = laws.ensemble(rig, ())
     assert not alone.variables
     assert jax.tree.structure(alone.mechanism) == jax.tree.structure(rig)
@@ -192,8 +192,7 @@ def sensors():
 
 
 def record(clearance):
-    """The last six turns of a machine with another dissipation law, friction law and integrator
-    than the fit's."""
+    """The last six turns of a machine with other laws and another integrator than the fit's."""
     steel = jc.Material(young_modulus=207e9, poisson_ratio=0.3)
     law = jc.contact.Gonthier(stiffness=jc.stiffness.HertzStiffness(steel, steel), restitution=0.85)
     rub = jc.friction.CoulombTanh(mu_kinetic=0.03, transition_speed=1e-2)
@@ -262,7 +261,7 @@ def test_an_interval_that_ends_where_its_prior_does_is_not_identified():
 def test_a_part_of_a_record_is_compared_with_that_part_of_a_run():
     """Turns of 0.1 s at 100 Hz, ten in a run: parts that end within a turn have their place."""
     time = np.linspace(0.0, 1.0, 101)
-    whole = jc.Measurement(time, {"a": np.sin(time)}, {"a": sensors()["a"]}, turn=0.1)
+    whole = measured(time, np.sin(time), turn=0.1)
     run = types.SimpleNamespace(duration=1.0)
     assert window_end(run, whole) == 101
     assert window_end(run, whole.part(0.2, 0.65)) == 66
@@ -282,69 +281,57 @@ def bare(**changed):
     return jc.Measurement(time, **(given | changed))
 
 
-def test_ideal_motion_is_refused_by_name():
-    problem = machine(0.2e-3, integrator=jc.integrator.NonColliding())
-    with pytest.raises(ValueError, match="NonColliding moves bodies as ideal joints do"):
-        jc.identify(problem, bare())
+def measured(time, values, **more):
+    return jc.Measurement(time, {"a": values}, {"a": sensors()["a"]}, **more)
 
 
-def test_what_is_no_record_or_question_is_named():
-    problem = machine(0.2e-3)
-    with pytest.raises(ValueError, match=r"sensors none|each signal needs its sensor"):
-        bare(sensors={})
-    with pytest.raises(ValueError, match="must rise"):
-        jc.Measurement([0.0, 0.0], {"a": [1, 2]}, {"a": sensors()["a"]})
-    with pytest.raises(ValueError, match="has 2 samples"):
-        bare(signals={"a": [1.0, 2.0]})
-    with pytest.raises(ValueError, match="finite numbers in a row"):
-        bare(signals={"a": [[1.0]] * 301})
-    with pytest.raises(ValueError, match="nan at sample 3 of 301, and not finite at 2 in all"):
-        bare(signals={"a": [1.0, 2.0, np.nan, np.inf] + [0.0] * 297})
-    with pytest.raises(ValueError, match="turn of a Measurement"):
-        bare(turn=-1.0)
-    long = jc.Measurement(np.linspace(0, 3, 301), {"a": np.zeros(301)}, {"a": sensors()["a"]})
-    with pytest.raises(ValueError, match="give the problem a longer duration"):
-        check_identifiable(problem, long)
-    elsewhere = {"a": jc.sensor.Gyroscope("piston")}
-    with pytest.raises(ValueError, match="piston"):
-        check_identifiable(problem, bare(sensors=elsewhere))
-    with pytest.raises(ValueError, match="runs of identify"):
-        jc.identify(problem, bare(), runs=10)
-    with pytest.raises(ValueError, match='statistic "mine"'):
-        jc.identify(problem, bare(), statistics={"mine": 3})
+def identify_machine(record=None, integrator=None, **how):
+    return jc.identify(machine(0.2e-3, integrator=integrator), record or bare(), **how)
 
 
-def test_a_record_is_read_from_files(tmp_path):
-    import pandas
-
-    data = bare(turn=None)
-    file = tmp_path / "record.csv"
-    pandas.DataFrame({"t": data.time, "a": data.signals["a"]}).to_csv(file, index=False)
-    found = jc.Measurement.read_csv(file, time="t", signals={"a": sensors()["a"]})
-    np.testing.assert_allclose(found.signals["a"], data.signals["a"])
-    assert found.rate == pytest.approx(1000.0)
-    with pytest.raises(ValueError, match='column "b"'):
-        jc.Measurement.read_csv(file, time="t", signals={"b": sensors()["a"]})
-    with pytest.raises(ValueError, match='no unit "h" of time'):
-        jc.Measurement.read_csv(file, time="t", signals={"a": sensors()["a"]}, time_unit="h")
-    assert len(data.part(0.1, 0.2).time) == 101
+test_what_is_no_record_or_question_is_named = refusals(
+    {
+        r"sensors none|each signal needs its sensor": lambda: bare(sensors={}),
+        "must rise": lambda: measured([0.0, 0.0], [1, 2]),
+        "has 2 samples": lambda: bare(signals={"a": [1.0, 2.0]}),
+        "finite numbers in a row": lambda: bare(signals={"a": [[1.0]] * 301}),
+        "nan at sample 3 of 301, and not finite at 2 in all": lambda: bare(
+            signals={"a": [1.0, 2.0, np.nan, np.inf] + [0.0] * 297}
+        ),
+        "turn of a Measurement": lambda: bare(turn=-1.0),
+        "give the problem a longer duration": lambda: check_identifiable(
+            machine(0.2e-3), measured(np.linspace(0, 3, 301), np.zeros(301))
+        ),
+        "piston": lambda: check_identifiable(
+            machine(0.2e-3), bare(sensors={"a": jc.sensor.Gyroscope("piston")})
+        ),
+        "runs of identify": lambda: identify_machine(runs=10),
+        'statistic "mine"': lambda: identify_machine(statistics={"mine": 3}),
+        "NonColliding moves bodies as ideal joints do": lambda: identify_machine(
+            integrator=jc.integrator.NonColliding()
+        ),
+    }
+)
 
 
 @pytest.mark.parametrize("between, decimal", [(";", ","), (";", "."), ("\t", ","), (",", ".")])
-def test_columns_may_stand_between_other_marks_and_times_be_in_milliseconds(
-    tmp_path, between, decimal
-):
-    import pandas
-
-    data = bare(turn=None)
+def test_a_record_is_read_from_files(tmp_path, between, decimal):
+    """With columns between several marks, and times in milliseconds."""
+    data, file = bare(turn=None), tmp_path / "record.csv"
     table = pandas.DataFrame({"t": 1e3 * data.time, "a": data.signals["a"]})
-    table.to_csv(tmp_path / "record.csv", index=False, sep=between, decimal=decimal)
-    signals = {"a": sensors()["a"]}
-    found = jc.Measurement.read_csv(
-        tmp_path / "record.csv", time="t", signals=signals, time_unit="ms"
+    table.to_csv(file, index=False, sep=between, decimal=decimal)
+    read = functools.partial(
+        jc.Measurement.read_csv, file, time="t", signals={"a": sensors()["a"]}, time_unit="ms"
     )
+    found = read()
     np.testing.assert_allclose(found.time, data.time, atol=1e-12)
     np.testing.assert_allclose(found.signals["a"], data.signals["a"])
+    assert found.rate == pytest.approx(1000.0) and len(data.part(0.1, 0.2).time) == 101
+    assert read(time_unit="s").rate == pytest.approx(1.0)
+    with pytest.raises(ValueError, match='column "b"'):
+        read(signals={"b": sensors()["a"]})
+    with pytest.raises(ValueError, match='no unit "h" of time'):
+        read(time_unit="h")
 
 
 def test_unknowns_keep_their_order_where_jax_sorts_their_names():
@@ -358,3 +345,14 @@ def test_unknowns_keep_their_order_where_jax_sorts_their_names():
     found = result.posterior_of(sorted_, values)
     assert found.names == own.names
     np.testing.assert_allclose(found.nominal(), [0.86, 2.2e-4], rtol=1e-6)
+
+
+def test_a_record_that_is_like_the_runs_is_said_to_be_so():
+    parts = jc.Dimension(0.0, tolerance=1e-3)
+    like = identified(jc.FunctionProblem(lambda a, b: a + b, dict.fromkeys("ab", parts)))
+    assert "The record is like the runs: 40 % of them lie as far off as it." in like.sentence()
+    assert not like.warned
+    unlike = dataclasses.replace(like, explained=1e-3)
+    assert "like the runs" not in unlike.sentence() and "No law" in unlike.warned[0]
+    few = dataclasses.replace(like, runs=64)
+    assert few.explains is None and "like the runs" not in few.sentence()

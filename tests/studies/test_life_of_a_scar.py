@@ -1,6 +1,5 @@
 """The life of a bearing into which a pin is pressed one way: the volume that it loses in a turn
-stays, its scar widens, so its depth slows. By the area between two circles.
-"""
+stays, its scar widens, so its depth slows. By the area between two circles."""
 
 import numpy as np
 import pytest
@@ -74,8 +73,7 @@ def test_a_life_whose_scar_is_hardly_wider_than_a_cell_says_so_as_a_run_does(cel
 
 @pytest.mark.slow
 def test_a_verified_life_states_the_error_of_its_cells():
-    """18 cells of a scar of 10; the closed form is the area between two circles. Steps alone would
-    say a tenth of it."""
+    """18 cells of a scar of 10; the closed form is the area between two circles."""
     depth = 127e-6
     turns = crescent(depth, CLEARANCE) / lost(CLEARANCE)
     life = jc.wear_life(scar(CLEARANCE, 18), cycles=turns, verify=True)

@@ -1,11 +1,9 @@
 """Lives as responses, against Archard's law at a constant load: every cell of a ring wears alike,
-so a life is in proportion to hardness over load, and what a design may allot has a closed form.
-"""
+so a life is in proportion to hardness over load, and what a design may allot has a closed form."""
 
 import threading
-from typing import NamedTuple
+from types import SimpleNamespace
 
-import equinox as eqx
 import jax
 import numpy as np
 import pytest
@@ -16,6 +14,7 @@ from jaxclear.integrators import Outcome
 from jaxclear.studies.experiment import Cost
 from jaxclear.studies.life.life_problem import LifeExperiment
 from jaxclear.studies.store.batch import evaluate_all
+from tests.rigs.refusals import refusals
 from tests.rigs.wearing_ring import FORCE, HARDNESS, LENGTH, RADIUS, STIFFNESS, WEAR, wearing_ring
 from tests.rigs.wearing_ring import problem as one_turn
 
@@ -34,18 +33,6 @@ def asked():
         "sure": jc.LifeUntil("depth", LIMIT, sure=True),
     }
     return jc.LifeProblem(one_turn(wearing_ring(slope=0.0)), response)
-
-
-@pytest.mark.slow
-def test_lives_of_a_sample_are_in_proportion_to_hardness_over_load(asked):
-    """Each as long as it needs to be, and less its error no longer than it is."""
-    found = jc.monte_carlo(asked, 4)
-    hardness, load = found.values.T
-    np.testing.assert_allclose(found.responses["life"], closed_form(hardness, load), rtol=1e-4)
-    assert np.all(found.responses["sure"] < found.responses["life"])
-    assert found.problem.units() == {"life": "cycles", "sure": "cycles"}
-    assert found.ended == pytest.approx(1.25 * found.responses["life"], rel=1e-3)
-    assert found.rerun(2).until("depth", LIMIT).cycles == found.responses["life"][2]
 
 
 @pytest.mark.slow
@@ -133,15 +120,11 @@ def test_values_that_no_machine_has_are_failed_lives_as_they_are_failed_runs(ask
 @pytest.mark.slow
 def test_values_of_which_no_machine_can_be_put_together_are_told_so():
     """A coupler that is too short to reach the follower, as it is of runs."""
-    links = {
-        "coupler": jc.Variable(
-            lambda rig: rig.connections["B"].parent.at[0], jc.distribution.Uniform(0.35)
-        )
-    }
+    where = lambda rig: rig.connections["B"].parent.at[0]
     turn = jc.Problem(
         jc.scenes.four_bar("planar", cells=(36, 1)),
         jc.response.MeanContactForce("B"),
-        links,
+        {"coupler": jc.Variable(where, jc.distribution.Uniform(0.35))},
         duration=0.2 * np.pi,
         save=73,
         integrator=jc.integrator.FixedStep(2e-5, "semi_implicit"),
@@ -162,27 +145,17 @@ def test_warnings_of_shapes_are_none_of_the_volume(asked):
 
 
 def test_a_life_whose_error_is_unknown_is_told_and_nothing_of_it_is_sure():
-    class Known(NamedTuple):
-        cycles: float = 1e6
-        error: float = np.inf
-
-    class Life:
-        def until(self, name, limit):
-            return Known()
-
-    assert jc.LifeUntil("depth", LIMIT)(Life()) == 1e6
-    assert jc.LifeUntil("depth", LIMIT, sure=True)(Life()) == 0.0
+    until = SimpleNamespace(cycles=1e6, error=np.inf)
+    life = SimpleNamespace(until=lambda name, limit: until)
+    assert jc.LifeUntil("depth", LIMIT)(life) == 1e6
+    assert jc.LifeUntil("depth", LIMIT, sure=True)(life) == 0.0
 
 
-def test_a_response_of_a_life_that_returns_nothing_is_told_so(asked):
-    class Alone(eqx.Module):
-        ended: str = ""
-
+def test_a_response_of_a_life_that_returns_nothing_is_told_so(asked, monkeypatch):
     lives = jc.LifeProblem(asked.problem, lambda life: None, cycles=10)
-    with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(LifeExperiment, "life", lambda self, values: Alone())
-        with pytest.raises(ValueError, match="is a `return` missing"):
-            lives.evaluate(asked.nominal())
+    monkeypatch.setattr(LifeExperiment, "life", lambda self, values: SimpleNamespace(ended=""))
+    with pytest.raises(ValueError, match="is a `return` missing"):
+        lives.evaluate(asked.nominal())
 
 
 def test_lives_are_lived_one_after_the_other_in_the_thread_that_asks():
@@ -199,28 +172,20 @@ def test_lives_are_lived_one_after_the_other_in_the_thread_that_asks():
     assert set(threads) == {threading.get_ident()}
 
 
-@pytest.mark.parametrize(
-    ("made", "sentence"),
-    [
-        (lambda p: jc.LifeProblem(p, at_end), "needs cycles=, how long a life is"),
-        (lambda p: jc.LifeProblem(p, lambda life: life.error), "needs cycles="),
-        (
-            lambda p: jc.LifeProblem(p, {"a": jc.LifeUntil("depth", 1e-5), "b": at_end}),
-            '"b" .* needs cycles=, how long a life is',
+UNTIL = jc.LifeUntil("depth", 1e-5)
+CYCLE = one_turn(wearing_ring(slope=0.0))
+test_what_cannot_be_asked_of_lives_is_refused = refusals(
+    {
+        '^(?!.*"b").*needs cycles=, how long': lambda: jc.LifeProblem(CYCLE, at_end),
+        "needs cycles=": lambda: jc.LifeProblem(CYCLE, lambda life: life.error),
+        '"b" .* needs cycles=, how long a life is': lambda: jc.LifeProblem(
+            CYCLE, {"a": UNTIL, "b": at_end}
         ),
-        (lambda p: jc.LifeProblem(p, jc.LifeUntil("deep", 1e-5)), 'no quantity "deep"'),
-        (lambda p: jc.LifeProblem(p.mechanism, jc.LifeUntil("depth", 1e-5)), "of one cycle"),
-        (lambda p: jc.LifeProblem(p, jc.LifeUntil("depth", 1e-5), cycles=-1), "LifeProblem is -1"),
-    ],
+        'no quantity "deep"': lambda: jc.LifeProblem(CYCLE, jc.LifeUntil("deep", 1e-5)),
+        "of one cycle": lambda: jc.LifeProblem(CYCLE.mechanism, UNTIL),
+        "LifeProblem is -1": lambda: jc.LifeProblem(CYCLE, UNTIL, cycles=-1),
+    }
 )
-def test_what_cannot_be_asked_of_lives_is_refused(asked, made, sentence):
-    with pytest.raises(ValueError, match=sentence):
-        made(asked.problem)
-
-
-def test_slopes_through_a_life_are_refused_with_what_serves_instead(asked):
-    with pytest.raises(ValueError, match="jaxclear.wear_life_derivatives"):
-        jax.grad(lambda values: asked.evaluate(values).responses["life"])(asked.nominal())
 
 
 @pytest.mark.slow
@@ -258,8 +223,10 @@ def test_derivatives_of_the_mean_life_are_those_of_the_closed_form(asked):
     assert found.unit("life", "hardness") == "cycles/Pa"
 
 
-def test_a_campaign_of_lives_is_refused_with_what_serves(asked, tmp_path):
+def test_slopes_and_campaigns_of_lives_are_refused_with_what_serves(asked, tmp_path):
     """Before a file is written."""
+    with pytest.raises(ValueError, match="jaxclear.wear_life_derivatives"):
+        jax.grad(lambda values: asked.evaluate(values).responses["life"])(asked.nominal())
     with pytest.raises(ValueError, match=r"no compiled program.*monte_carlo.*wear_life_sample"):
         jc.campaign(asked, folder=tmp_path / "kept")
     assert not any(tmp_path.iterdir())

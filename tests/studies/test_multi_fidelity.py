@@ -1,6 +1,5 @@
 """Means by few accurate runs and many cheap ones: against closed forms of correlated normal numbers
-and the work that theory says they take.
-"""
+and the work that theory says they take."""
 
 import jax
 import jax.numpy as jnp
@@ -100,25 +99,21 @@ def test_the_work_allowed_is_not_exceeded_from_the_start(accurate, samples):
     assert len(found.used) == 2 and found.work + found.pilot <= samples
 
 
-def test_cheap_runs_that_fail_bring_no_bias(accurate):
+def test_cheap_runs_that_fail_are_told_and_bring_no_bias(accurate):
     """A cheaper model that fails where a > 1 and is 100 too large."""
-    broken = jc.FunctionProblem(
-        lambda a, b: {"y": jnp.where(a > 1, jnp.nan, 100 + a + 0.1 * b)}, NUMBERS
+    failing = lambda bound, own: jc.FunctionProblem(
+        lambda a, b: {"y": jnp.where(a > bound, jnp.nan, own(a, b))}, NUMBERS
     )
-    found = [
-        jc.multi_fidelity(accurate, broken, costs={"cheaper": COST}, seed=s) for s in range(10)
-    ]
+    broken, costs = failing(1, lambda a, b: 100 + a + 0.1 * b), {"cheaper": COST}
+    found = [jc.multi_fidelity(accurate, broken, costs=costs, seed=s) for s in range(10)]
     assert any("cheaper" in one.used for one in found)
     away = [(one.means["y"].value - 3.0) / one.means["y"].error for one in found]
     assert abs(np.mean(away)) < 0.5 and max(map(abs, away)) < 2
-
-
-def test_cheap_runs_that_fail_are_told(accurate):
-    broken = jc.FunctionProblem(lambda a, b: {"y": jnp.where(a > 0, jnp.nan, a + b)}, NUMBERS)
-    found = jc.multi_fidelity(accurate, {"broken": broken}, costs={"broken": 0.5})
-    share = found.pilot_failed["broken"]
+    half = {"half": failing(0, lambda a, b: a + b)}
+    found = jc.multi_fidelity(accurate, half, costs={"half": 0.5})
+    share = found.pilot_failed["half"]
     assert share == pytest.approx(0.5, abs=0.05)
-    said = f'{100 * share:.2g} % of the runs of "broken" failed in the pilot sample'
+    said = f'{100 * share:.2g} % of the runs of "half" failed in the pilot sample'
     assert said in found.sentence()
 
 
@@ -151,40 +146,33 @@ def test_a_mechanism_by_longer_steps_has_the_mean_of_short_ones():
     assert found.used == ("the problem", "coarse") and found.gains["swing"] > 1
 
 
-@pytest.mark.parametrize(
-    ("change", "sentence"),
-    [
-        ({"cheaper": {}}, "cheaper is empty"),
-        ({"cheaper": 3}, 'cheaper "cheaper" is 3; it must be a problem'),
-        ({"samples": 100}, "samples of multi_fidelity is 100"),
-        ({"costs": {"x": 0.1}}, 'costs names "x", which is not in cheaper: cheaper'),
-        ({"costs": {"cheaper": -1.0}}, 'cost of "cheaper" is -1.0'),
-        ({"accuracy": -1.0}, "accuracy of multi_fidelity is -1.0"),
-    ],
-)
-def test_what_cannot_be_asked_gets_a_sentence(accurate, rough, change, sentence):
+ONE = {"c": jc.Dimension(0.0, Normal(1.0))}
+REFUSED = {
+    "cheaper is empty": {"cheaper": {}},
+    'cheaper "cheaper" is 3; it must be a problem': {"cheaper": 3},
+    "samples of multi_fidelity is 100": {"samples": 100},
+    'costs names "x", which is not in cheaper: cheaper': {"costs": {"x": 0.1}},
+    'cost of "cheaper" is -1.0': {"costs": {"cheaper": -1.0}},
+    "accuracy of multi_fidelity is -1.0": {"accuracy": -1.0},
+    'varies "c"; its variables must be among those': {
+        "cheaper": jc.FunctionProblem(lambda c: {"y": c}, ONE)
+    },
+    'answers "z"; it must have a response of the problem: "y"': {
+        "cheaper": jc.FunctionProblem(lambda a: {"z": a}, {"a": NUMBERS["a"]})
+    },
+}
+
+
+@pytest.mark.parametrize("sentence", REFUSED)
+def test_what_cannot_be_asked_gets_a_sentence(accurate, rough, sentence):
     with pytest.raises(ValueError, match=sentence):
-        jc.multi_fidelity(accurate, **{"cheaper": rough, **change})
-
-
-def test_a_model_of_another_question_is_refused(accurate):
-    other = jc.FunctionProblem(lambda c: {"y": c}, {"c": jc.Dimension(0.0, Normal(1.0))})
-    with pytest.raises(ValueError, match='varies "c"; its variables must be among those'):
-        jc.multi_fidelity(accurate, other)
-    other = jc.FunctionProblem(lambda a: {"z": a}, {"a": jc.Dimension(0.0, Normal(1.0))})
-    with pytest.raises(
-        ValueError, match='answers "z"; it must have a response of the problem: "y"'
-    ):
-        jc.multi_fidelity(accurate, other)
+        jc.multi_fidelity(accurate, **{"cheaper": rough} | REFUSED[sentence])
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("accuracy", [None, {"y": 0.05}])
 def test_intervals_hold_in_200_repetitions(accurate, rough, accuracy):
-    found = [
-        jc.multi_fidelity(accurate, {"rough": rough}, seed=s, accuracy=accuracy, **OPTIONS)
-        for s in range(200)
-    ]
-    held = np.mean([one.means["y"].low <= 3.0 <= one.means["y"].high for one in found])
-    # 95 % and three standard deviations of 200 trials.
-    assert held > 0.905
+    """95 % and three standard deviations of 200 trials."""
+    asked = {"accuracy": accuracy} | OPTIONS
+    found = [jc.multi_fidelity(accurate, {"rough": rough}, seed=s, **asked) for s in range(200)]
+    assert np.mean([one.means["y"].low <= 3.0 <= one.means["y"].high for one in found]) > 0.905

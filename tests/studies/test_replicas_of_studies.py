@@ -1,5 +1,4 @@
-"""Replicas tell how far a study's numbers are off by its steps: beside closed forms, an ODE solver
-of scipy, and a problem whose paths part."""
+"""Replicas tell how far a study's numbers are off by its steps."""
 
 import re
 
@@ -119,26 +118,17 @@ def test_told_errors_are_true_ones_of_a_wide_swing(integrator):
     assert np.all((share > 0.5) & (share < 10))
 
 
-@pytest.mark.parametrize(
-    "how",
-    [
-        {"integrator": jc.integrator.FixedStep(STEP, "semi_implicit")},
-        {"integrator": jc.integrator.FixedStep(steps_per_save=10, method="semi_implicit")},
-    ],
-)
+@pytest.mark.parametrize("how", [{"step": STEP}, {"steps_per_save": 10}])
 def test_responses_see_finer_runs_at_the_times_that_were_asked_for(how):
     """Counted steps are halved by twice the saving times; what hangs on these does not see them."""
-    problem = falling(**how)
-    replica = problem.refine()
-    counted = problem.integrator.steps_between_saves is not None
-    assert len(replica.shares) == (11 if counted else 6)
+    problem = falling(integrator=jc.integrator.FixedStep(method="semi_implicit", **how))
+    assert len(problem.refine().shares) == (6 if "step" in how else 11)
     told = jc.monte_carlo(problem, 4).numerical_error("saves")
     assert told.bias == 0 and told.uncertainty == 0 and told.is_resolved
 
 
 def test_worn_surfaces_are_updated_twice_as_often_by_the_same_program():
-    """What wears in a replica is what a run with twice the saving times and half the steps wears;
-    nothing is compiled for it."""
+    """As in a run with twice the saving times and half the steps."""
     rig, traced = jc.scenes.slider_crank(wear=True), []
     volume = jc.response.WornVolume("B")
 
@@ -179,15 +169,14 @@ def test_a_study_that_is_not_verified_says_so(study):
     assert plain.replicas is None and "Not verified" in plain.sentence()
     assert "Not verified" not in study.sentence()
     assert "numerical error" not in plain.summary().columns
-    with pytest.raises(ValueError, match="this study has no replicas"):
-        plain.numerical_error("way")
-    with pytest.raises(ValueError, match="verify of monte_carlo"):
-        jc.monte_carlo(falling(), 4, verify="no")
-    with pytest.raises(ValueError, match='no response "speed"'):
-        study.numerical_error("speed")
-
-
-def test_what_is_not_discretised_needs_no_replicas():
+    for sentence, ask in {
+        "this study has no replicas": lambda: plain.numerical_error("way"),
+        "verify of monte_carlo": lambda: jc.monte_carlo(falling(), 4, verify="no"),
+        'no response "speed"': lambda: study.numerical_error("speed"),
+    }.items():
+        with pytest.raises(ValueError, match=sentence):
+            ask()
+    # What is not discretised needs none.
     exact = jc.FunctionProblem(lambda a: 2 * a, {"a": jc.Dimension(1.0, tolerance=0.1)})
     found = jc.monte_carlo(exact, 16)
     assert found.replicas is None and found.sentence() == "16 samples, 0 failed, 0 with warnings."
@@ -234,15 +223,10 @@ def test_replicas_that_fail_say_so_and_leave_the_study_alone():
     allowed = falling(integrator=jc.integrator.Adaptive(rtol=1e-4, atol=1e-6, max_steps=12))
     found = jc.monte_carlo(allowed, 32)
     assert len(found.failed) == 0
-    replicas = eqx.tree_at(
-        lambda own: (own.outcome, own.responses["way"]),
-        found.replicas,
-        (
-            np.where(np.arange(16) % 8 == 3, int(jc.integrator.Outcome.TOO_MANY_STEPS), 0),
-            np.where(np.arange(16) % 8 == 3, np.nan, found.replicas.responses["way"]),
-        ),
-    )
-    broken = eqx.tree_at(lambda own: own.replicas, found, replicas)
+    failing, few = np.arange(16) % 8 == 3, int(jc.integrator.Outcome.TOO_MANY_STEPS)
+    way = np.where(failing, np.nan, found.replicas.responses["way"])
+    where = lambda own: (own.replicas.outcome, own.replicas.responses["way"])
+    broken = eqx.tree_at(where, found, (np.where(failing, few, 0), way))
     (said,) = broken.accuracy_warnings
     assert said.startswith("2 of 16 replicas failed and tell nothing; of that of sample 3, the run")
     assert broken.numerical_error("way").replicas == 14
@@ -316,10 +300,7 @@ def test_a_replica_that_fails_of_a_strangers_problem_is_named():
 def test_a_campaign_keeps_its_replicas_and_adds_what_it_lacks(tmp_path, monkeypatch):
     """A larger one has those of the smaller, and eight more; nothing is run twice."""
     asked, counts, finer = long_steps(), [], workers.finer_runs
-    counted = lambda asked, values, chunk: (
-        counts.append(len(values)),
-        finer(asked, values, chunk),
-    )[1]
+    counted = lambda *own: (counts.append(len(own[1])), finer(*own))[1]
     monkeypatch.setattr(workers, "finer_runs", counted)
     how = {"folder": tmp_path, "scramblings": 4}
     first = jc.campaign(asked, 8, **how)
@@ -331,17 +312,13 @@ def test_a_campaign_keeps_its_replicas_and_adds_what_it_lacks(tmp_path, monkeypa
     for one in (whole, again, jc.open_campaign(tmp_path), jc.open_campaign(tmp_path, asked)):
         for name, told in plain.replicas.responses.items():
             np.testing.assert_allclose(one.sample.replicas.responses[name], told, rtol=1e-12)
-        assert (
-            one.sentence() == plain.sentence()
-            and one.sample.accuracy_warnings == plain.accuracy_warnings
-        )
+        assert one.sentence() == plain.sentence()
+        assert one.sample.accuracy_warnings == plain.accuracy_warnings
         np.testing.assert_allclose(one.numerical_error("way"), plain.numerical_error("way"))
-        assert one.summary()["numerical error"][0] == pytest.approx(
-            plain.summary()["numerical error"][0]
-        )
-    np.testing.assert_allclose(
-        whole.to_dataset()["finer way"], plain.to_dataset()["finer way"], rtol=1e-12
-    )
+        errors = (own.summary()["numerical error"][0] for own in (one, plain))
+        assert next(errors) == pytest.approx(next(errors))
+    finer = (own.to_dataset()["finer way"] for own in (whole, plain))
+    np.testing.assert_allclose(*finer, rtol=1e-12)
 
 
 def test_a_campaign_may_go_without_and_have_them_later(tmp_path):

@@ -1,5 +1,4 @@
-"""Morris' elementary effects against closed forms, and Latin hypercubes against the
-variance that theory gives them."""
+"""Morris' elementary effects against closed forms."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -72,14 +71,9 @@ def test_a_plane_has_its_slopes_and_no_scatter(screened):
 
 
 def test_moves_whose_runs_failed_are_left_out():
-    broken = jc.FunctionProblem(
-        lambda a, b: np.e * a / (b > -0.5), {n: jc.Dimension(0.0, D.Normal(1.0)) for n in "ab"}
-    )
-    found = jc.screening(broken, 32)
+    numbers = {n: jc.Dimension(0.0, D.Normal(1.0)) for n in "ab"}
+    found = jc.screening(jc.FunctionProblem(lambda a, b: np.e * a / (b > -0.5), numbers), 32)
     assert 0 < found.failed < 96 and "their moves are left out" in found.sentence()
     assert found.mu_star["response", "a"].value > 0
-
-
-def test_what_cannot_be_asked_gets_a_sentence():
     with pytest.raises(ValueError, match="trajectories of screening is 1"):
         jc.screening(PROBLEM, 1)

@@ -14,13 +14,10 @@ SENSOR = jc.sensor
 
 @pytest.fixture(scope="module")
 def run():
+    turning = jc.joint.Revolute(drive=jc.drive.ConstantSpeed(SPEED))
     rig = jc.Mechanism(
         {"crank": jc.Body(1.0, 1e-2)},
-        {
-            "O": jc.Connection(
-                jc.joint.Revolute(drive=jc.drive.ConstantSpeed(SPEED)), "ground", "crank"
-            )
-        },
+        {"O": jc.Connection(turning, "ground", "crank")},
         loads={"gravity": jc.load.Gravity((0.0, -GRAVITY))},
     )
     return jc.simulate(rig, 0.3, save=3001, verify=False)
@@ -66,13 +63,10 @@ def test_what_is_not_known_is_drawn_for_each_run():
     found = sensor.sensed(np.ones((500, 3)), 1.0, np.random.default_rng(1))
     assert np.all(np.ptp(found, axis=1) == 0) and found.min() >= 1.5 and found.max() <= 2.5
     assert abs(found.mean() - 2.0) < 0.05
-
-
-def test_the_ideal_instrument_changes_nothing():
     sensor = SENSOR.Gyroscope("crank", noise=1.0, bandwidth=3.0, gain=2.0, delay=1.0, sampling=1.0)
     signal = np.random.default_rng(2).standard_normal((2, 50))
     found = sensor.ideal().sensed(signal, 100.0, np.random.default_rng(0))
-    assert np.array_equal(found, signal)
+    assert np.array_equal(found, signal), "the ideal instrument changes nothing"
 
 
 def test_a_signal_is_no_response_of_a_study(run):

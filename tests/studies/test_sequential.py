@@ -52,14 +52,10 @@ def test_an_accuracy_is_judged_alike_whatever_the_pieces():
 def test_an_accuracy_is_judged_with_some_chunks_in_memory(tmp_path, monkeypatch):
     """However many there are in the folder."""
     sizes, read = [], Samples.read
+    counted = lambda self, at, *n: (sizes.append(at.stop - at.start), read(self, at, *n))[1]
     monkeypatch.setattr(campaign, "READ", 4096)
-    monkeypatch.setattr(
-        Samples,
-        "read",
-        lambda self, at, *n: (sizes.append(at.stop - at.start), read(self, at, *n))[1],
-    )
+    monkeypatch.setattr(Samples, "read", counted)
     asked = {"accuracy": {"area": 1e-9}, "seed": 3}
     found = jc.campaign(problem(), 16_384, folder=tmp_path, chunk=4096, **asked)
-    assert found.count == 16_384
-    assert max(sizes) == 4096
+    assert found.count == 16_384 and max(sizes) == 4096
     assert found.sentence() == jc.monte_carlo(problem(), 16_384, **asked).sentence()

@@ -7,6 +7,7 @@ import pytest
 import jaxclear as jc
 from jaxclear.scenes.slider_crank import slider_crank
 from jaxclear.studies.life.settling import correlation_factor, standard_error
+from tests.rigs.refusals import refusals
 from tests.rigs.wearing_ring import SAVES, TURN, ClosedForm, problem, wearing_ring
 
 PERIOD = 2 * np.pi / 50
@@ -31,14 +32,6 @@ def test_a_journal_that_falls_into_its_place_settles_there(ring):
     assert ring.responses["force"] == pytest.approx((ClosedForm().force_at(0.0), 0.0), rel=1e-5)
 
 
-def test_a_run_goes_on_from_the_settled_cycle(ring):
-    """On the surfaces on which that began, a turn later: the same once more."""
-    again = jc.steady_cycle(problem(wearing_ring(), state=ring.state), tolerance=1e-6)
-    assert again.cycles == 1
-    assert float(again.run.time[0]) == pytest.approx(ring.cycles * TURN)
-    np.testing.assert_allclose(again.wear["B"]["bearing"], ring.wear["B"]["bearing"], rtol=1e-9)
-
-
 @pytest.mark.slow
 def test_a_cycle_is_the_run_that_simulate_makes(ring):
     own = {"save": SAVES, "integrator": ring.problem.integrator}
@@ -51,7 +44,12 @@ def test_a_cycle_is_the_run_that_simulate_makes(ring):
         state = jc.State(motion=run.state().motion)
 
 
-def test_table_tells_every_cycle(ring):
+def test_a_run_goes_on_from_the_settled_cycle(ring):
+    """On the surfaces on which that began, a turn later: the same once more."""
+    again = jc.steady_cycle(problem(wearing_ring(), state=ring.state), tolerance=1e-6)
+    assert again.cycles == 1
+    assert float(again.run.time[0]) == pytest.approx(ring.cycles * TURN)
+    np.testing.assert_allclose(again.wear["B"]["bearing"], ring.wear["B"]["bearing"], rtol=1e-9)
     table = ring.table()
     assert len(table) == ring.cycles and table["taken"].sum() == 1 and table["taken"].iloc[-1]
     assert table["apart"].iloc[-1] <= 1e-6 < table["apart"].iloc[0]
@@ -68,19 +66,13 @@ def test_whole_turns_are_no_change_of_place():
         jc.steady_cycle(slider_crank("ideal"), 0.125, cycles=2)
 
 
-def test_cycles_given_as_a_period_are_refused_before_anything_runs():
-    """Runs over the 1e5 s chose an integrator first, without end."""
+def test_cycles_given_as_a_period_are_refused_before_anything_runs_or_said():
     rig = slider_crank(clearance=1e-4)
     for study in (jc.steady_cycle, lambda *given: jc.wear_life(*given, cycles=10)):
         with pytest.raises(ValueError, match="cycles are given by name"):
             study(rig, 1e5)
-
-
-def test_a_period_of_several_cycles_is_said():
-    """Cycles given in the place of the period."""
-    with pytest.warns(
-        UserWarning, match=r"repeat after 0\.05 s already, 20 times in the period of"
-    ):
+    said = r"repeat after 0\.05 s already, 20 times in the period of"
+    with pytest.warns(UserWarning, match=said):
         jc.steady_cycle(wearing_ring(), 1.0, cycles=1, throw=False)
 
 
@@ -100,8 +92,7 @@ def test_chaotic_motion_is_known_by_means():
 
 
 def test_a_correlated_series_has_a_larger_error():
-    """Of a series whose neighbours correlate by 0.6, means over 400 scatter twice as much as those
-    of independent values."""
+    """Where neighbours correlate by 0.6, means over 400 scatter twice as much."""
     rng, alike, length = np.random.default_rng(1), 0.6, 400
     series = np.zeros((200, length))
     series[:, 0] = rng.normal(size=200)
@@ -113,31 +104,24 @@ def test_a_correlated_series_has_a_larger_error():
 
 def test_a_cycle_that_fails_says_so():
     """A step far too long for the contact."""
-    rig = wearing_ring()
-    bad = eqx.tree_at(lambda p: p.integrator.step, problem(rig), np.asarray(2e-3))
+    bad = eqx.tree_at(lambda p: p.integrator.step, problem(wearing_ring()), np.asarray(2e-3))
     found = jc.steady_cycle(bad, throw=False)
     assert not found.periodic and found.sentence().startswith("Cycle 1: the run of a cycle ended")
     with pytest.raises(jc.SimulationError, match="the run of a cycle ended early"):
         jc.steady_cycle(bad)
 
 
-@pytest.mark.parametrize(
-    ("asked", "sentence"),
-    [
-        (lambda: jc.steady_cycle(wearing_ring()), r"needs its period \[s\]"),
-        (lambda: jc.steady_cycle(problem(wearing_ring()), 0.05), "given a Problem, whose duration"),
-        (lambda: jc.steady_cycle("ring", 0.05), "must be a Mechanism or a Problem"),
-        (lambda: jc.steady_cycle(wearing_ring(), 0.05, cycles=0), "cycles of steady_cycle is 0"),
-        (
-            lambda: jc.steady_cycle(wearing_ring(), 1e5 + 0.02),
-            r"A turn of it takes 0\.05 s; cycles are",
+test_what_cannot_be_asked_is_refused = refusals(
+    {
+        r"needs its period \[s\]": lambda: jc.steady_cycle(wearing_ring()),
+        "given a Problem, whose duration": lambda: jc.steady_cycle(problem(wearing_ring()), 0.05),
+        "must be a Mechanism or a Problem": lambda: jc.steady_cycle("ring", 0.05),
+        "cycles of steady_cycle is 0": lambda: jc.steady_cycle(wearing_ring(), 0.05, cycles=0),
+        r"A turn of it takes 0\.05 s; cycles are": lambda: jc.steady_cycle(
+            wearing_ring(), 1e5 + 0.02
         ),
-        (
-            lambda: jc.steady_cycle(wearing_ring(), 0.05, tolerance=-1),
-            "tolerance of steady_cycle is -1",
+        "tolerance of steady_cycle is -1": lambda: jc.steady_cycle(
+            wearing_ring(), 0.05, tolerance=-1
         ),
-    ],
+    }
 )
-def test_what_cannot_be_asked_is_refused(asked, sentence):
-    with pytest.raises(ValueError, match=sentence):
-        asked()

@@ -8,6 +8,7 @@ import pytest
 import scipy
 
 import jaxclear as jc
+from tests.rigs.refusals import refusals
 
 D = jc.distribution
 R, SPREAD = 15e-6, 4e-6
@@ -61,28 +62,19 @@ def test_a_sample_has_the_spread_of_the_disc_and_a_budget_one_row():
     assert "pin 0, 0 m" in str(study.problem)
 
 
-PRODUCT = {"error": lambda pin, gap: pin[0] * pin[1] / R + 0.5 * gap}
-
-
 def test_shares_of_a_variance_are_those_of_groups():
     """x y over a disc has the variance R^4 / 24: no first-order share of x or y by itself."""
-    found = jc.sobol_indices(problem(PRODUCT["error"]), 256)
-    pin, gap = R**2 / 24, 0.25 * SPREAD**2
-    surface = jc.surface(problem(PRODUCT["error"]), 128)
-    shapley = jc.shapley_effects(problem(PRODUCT["error"]), 2048).effects
-    for name, part in (("pin", pin), ("gap", gap)):
-        exact, key = part / (pin + gap), ("response", name)
-        for own in (found, jc.sobol_indices(surface)):
+    product = problem(lambda pin, gap: pin[0] * pin[1] / R + 0.5 * gap)
+    found, surface = jc.sobol_indices(product, 256), jc.sobol_indices(jc.surface(product, 128))
+    shapley = jc.shapley_effects(product, 2048).effects
+    parts = {"pin": R**2 / 24, "gap": 0.25 * SPREAD**2}
+    for name, part in parts.items():
+        exact, key = part / sum(parts.values()), ("response", name)
+        for own in (found, surface):
             for share in (own.first[key], own.total[key]):
                 assert abs(share.value - exact) < max(share.error, 1e-6) < 0.03
         assert abs(shapley[key].value - exact) < 2 * shapley[key].error < 0.2
     assert list(found.table().index.get_level_values("variable")) == ["pin", "gap"]
-
-
-def test_screening_moves_the_numbers_of_a_variable_together():
-    found = jc.screening(problem(), 8)
-    assert set(found.mu_star) == {("error", "pin"), ("error", "gap")}
-    assert found.runs == 8 * 3
 
 
 def test_the_worst_case_is_that_of_the_disc_and_not_of_its_box():
@@ -100,18 +92,13 @@ def test_the_worst_case_of_a_bent_response_over_two_discs_is_slsqps():
     sizes = {"p": 0.03, "q": 0.02}
     own = {name: jc.Dimension((0.0, 0.0), D.Ball(size)) for name, size in sizes.items()}
     found = jc.worst_case(jc.FunctionProblem(bent, own))
-    inside = [
-        {"type": "ineq", "fun": lambda v, i=i, size=size: size**2 - v[i] ** 2 - v[i + 1] ** 2}
-        for i, size in zip((0, 2), sizes.values(), strict=True)
-    ]
+    within = lambda i, r: {"type": "ineq", "fun": lambda v: r**2 - v[i] ** 2 - v[i + 1] ** 2}
+    how = {"method": "SLSQP", "tol": 1e-14, "constraints": [within(0, 0.03), within(2, 0.02)]}
+    starts = np.random.default_rng(0).normal(size=(12, 4)) * 0.01
     for end, sign in ((found.largest, -1), (found.least, 1)):
-        starts = np.random.default_rng(0).normal(size=(12, 4)) * 0.01
         of = lambda v, sign=sign: sign * float(bent(v[:2], v[2:]))
-        ends = [
-            scipy.optimize.minimize(of, v, method="SLSQP", constraints=inside, tol=1e-14).fun
-            for v in starts
-        ]
-        assert end["response"].value == pytest.approx(sign * min(ends), abs=1e-9)
+        best = min(scipy.optimize.minimize(of, v, **how).fun for v in starts)
+        assert end["response"].value == pytest.approx(sign * best, abs=1e-9)
 
 
 def test_the_half_width_of_one_coordinate_is_half_of_the_radius():
@@ -136,7 +123,10 @@ def test_a_rare_shift_has_the_probability_of_its_segment():
     assert list(found.importance()) == ["pin"]
 
 
-def test_a_folder_keeps_which_numbers_belong_together(tmp_path):
+def test_numbers_of_a_variable_belong_together(tmp_path):
+    """Screening moves them together, a folder keeps which they are."""
+    found = jc.screening(problem(), 8)
+    assert set(found.mu_star) == {("error", "pin"), ("error", "gap")} and found.runs == 8 * 3
     jc.campaign(problem(), 64, folder=tmp_path / "kept")
     found = jc.open_campaign(tmp_path / "kept")
     assert list(found.error_budget("error"))[:2] == ["pin", "gap"]
@@ -172,36 +162,22 @@ def test_rectangles_are_two_independent_numbers():
     assert study.value == pytest.approx(np.sqrt(4 / 3 + 1), rel=1e-3)
 
 
-WRONG = {
-    "derivative": (lambda: jc.sensitivity(problem(), "pin"), 'take a derivative by each: "pin x"'),
-    "correlated": (
-        lambda: problem(correlation={("pin", "gap"): 0.5}),
-        "only variables of one number",
-    ),
-    "nominal": (lambda: jc.Dimension(0.0, D.Ball(R)), "one nominal value, and its distribution"),
-    "dimension": (lambda: D.Ball(R, 4), "it must be 2"),
-    "names": (lambda: D.Independent(("x",), (D.Ball(R),)), "give each number a name"),
-    "where": (
-        lambda: jc.PositionProblem(
+test_what_several_numbers_cannot_be_is_said = refusals(
+    {
+        'take a derivative by each: "pin x"': lambda: jc.sensitivity(problem(), "pin"),
+        "only variables of one number": lambda: problem(correlation={("pin", "gap"): 0.5}),
+        "one nominal value, and its distribution": lambda: jc.Dimension(0.0, D.Ball(R)),
+        "it must be 2": lambda: D.Ball(R, 4),
+        "give each number a name": lambda: D.Independent(("x",), (D.Ball(R),)),
+        "points at 1 numbers": lambda: jc.PositionProblem(
             jc.scenes.slider_crank("ideal"),
             {"slide": lambda s: s.body("slider").com[0, 0]},
             {"pin": jc.Variable(lambda m: m.bodies["rod"].mass, D.Ball(R))},
             positions={"O": [0.7]},
         ),
-        "points at 1 numbers",
-    ),
-    "twice": (
-        lambda: jc.FunctionProblem(
+        '"a x" is a variable and a part of one': lambda: jc.FunctionProblem(
             lambda **own: 0.0 * own["a"][0] + own["a x"],
             {"a": jc.Dimension((0.0, 0.0), D.Ball(R)), "a x": jc.Dimension(0.0, D.Normal(1.0))},
         ),
-        '"a x" is a variable and a part of one',
-    ),
-}
-
-
-@pytest.mark.parametrize("name", WRONG)
-def test_what_several_numbers_cannot_be_is_said(name):
-    made, sentence = WRONG[name]
-    with pytest.raises(ValueError, match=sentence):
-        made()
+    }
+)

@@ -1,5 +1,6 @@
 """Statistics of a Monte Carlo study and their errors, against closed forms of a stack of parts."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -7,7 +8,7 @@ from scipy import stats
 
 import jaxclear as jc
 from jaxclear.studies.statistics.limits import fewest, normal_factor
-from jaxclear.studies.statistics.scrambled import jackknifed, skewed_half, smooth_quantile, student
+from jaxclear.studies.statistics.scrambled import half_widths, smooth_quantile, student
 
 D = jc.distribution
 # A stack of four parts: gap = d - a - b - c, normal with mean 0.5 mm.
@@ -19,11 +20,12 @@ def gap(a, b, c, d):
     return {"gap": d - a - b - c, "worn": jnp.exp(10 * (a + b + c - 6.0))}
 
 
+NOMINAL = (1.0, 2.0, 3.0, 6.5)
 STACK = jc.FunctionProblem(
     gap,
     {
         name: jc.Dimension(nominal, D.Normal(spread), unit="mm")
-        for name, nominal, spread in zip("abcd", (1.0, 2.0, 3.0, 6.5), SPREADS, strict=True)
+        for name, nominal, spread in zip("abcd", NOMINAL, SPREADS, strict=True)
     },
     units={"gap": "mm", "worn": "1"},
 )
@@ -107,17 +109,20 @@ def test_failed_samples_are_unknown_in_the_yield():
     assert told.value == 1.0 and told.low < 0.55 and told.high == 1.0
 
 
-@pytest.mark.parametrize(
-    ("samples", "content", "both", "factor"),
-    # ISO 16269-6:2014, tables for a confidence of 95 %.
-    [(10, 0.95, False, 2.911), (30, 0.99, False, 3.064), (10, 0.95, True, 3.393)],
-)
-def test_factors_of_tolerance_intervals_are_those_of_the_standard(samples, content, both, factor):
-    assert normal_factor(samples, content, 0.95, both) == pytest.approx(factor, abs=1.1e-3)
-
-
-def test_wilks_numbers_of_samples():
+def test_factors_and_numbers_of_samples_are_the_published_ones():
+    """Factors of ISO 16269-6:2014, tables for a confidence of 95 %; numbers of Wilks; quantiles of
+    Harrell and Davis by scipy."""
+    for samples, content, both, factor in (
+        (10, 0.95, False, 2.911),
+        (30, 0.99, False, 3.064),
+        (10, 0.95, True, 3.393),
+    ):
+        assert normal_factor(samples, content, 0.95, both) == pytest.approx(factor, abs=1.1e-3)
     assert fewest(0.95, 0.95, "upper") == 59 and fewest(0.95, 0.95, "both") == 93
+    values = np.random.default_rng(1).gumbel(size=77)
+    for share in (0.05, 0.5, 0.95):
+        expected = float(stats.mstats.hdquantiles(values, [share])[0])
+        assert smooth_quantile(values, share) == pytest.approx(expected, rel=1e-12)
 
 
 @pytest.mark.parametrize("normal", [True, False])
@@ -162,48 +167,87 @@ def test_intervals_of_skewed_contributions_hold_and_others_hardly_widen(law, mea
     rng = np.random.default_rng(0)
     rows = rng.chisquare(1, (2000, 16)) if law == "chisquare" else rng.normal(size=(2000, 16))
     away = abs(rows.mean(axis=1) - mean)
-    half = np.array([skewed_half(row) for row in rows])
+    half = np.array([max(half_widths(row)) for row in rows])
     students = student(16) * rows.std(axis=1, ddof=1) / 4
     assert np.mean(away <= half) > fewest_held
     assert np.mean(half / students) < (1.5 if law == "chisquare" else 1.1)
     assert np.mean(away <= students) < 0.9 or law == "normal"
 
 
-def test_a_smooth_quantile_is_that_of_harrell_and_davis():
-    """Beside scipy's own."""
-    values = np.random.default_rng(1).gumbel(size=77)
-    for share in (0.05, 0.5, 0.95):
-        expected = float(stats.mstats.hdquantiles(values, [share])[0])
-        assert smooth_quantile(values, share) == pytest.approx(expected, rel=1e-12)
+LAWS = {
+    "normal": (lambda u: u, 0.0, 1.0),
+    "exponential": (lambda u: -jax.scipy.stats.norm.logsf(u), 1.0, 1.0),
+    "chi square": (lambda u: u**2, 1.0, np.sqrt(2)),
+    "lognormal": (jnp.exp, np.exp(0.5), np.exp(0.5) * np.sqrt(np.e - 1)),
+}
 
 
-def test_intervals_of_skewed_contributions_are_moved():
-    """Sixteen exponential contributions: Student's interval misses the mean more often than one
-    that is moved by their skewness, and misses it below."""
-    rng, group = np.random.default_rng(0), np.arange(16)
-    missed = {True: 0, False: 0}
-    for parts in rng.exponential(size=(600, 16)):
-        for skewed in missed:
-            found = jackknifed(np.mean, parts, group, skewed)
-            missed[skewed] += not found.low <= 1.0 <= found.high
-    assert missed[False] > 0.07 * 600 and missed[True] < 0.8 * missed[False]
+@pytest.mark.parametrize(
+    ("samples", "seeds"), [(256, 100), pytest.param(1024, 400, marks=pytest.mark.slow)]
+)
+def test_intervals_of_skewed_statistics_hold_their_closed_forms(samples, seeds):
+    """Of three numbers. The skewness of eight scramblings alone left 16 % of deviations of a
+    lognormal above the interval, and 6 % of an exponential; 2.5 % are expected, 3 to 6 measured.
+    Of a lognormal the samples hardly know how skewed they are."""
+    three = {name: jc.Dimension(0.0, D.Normal(1.0)) for name in "abc"}
+    asked = jc.FunctionProblem(
+        lambda a, b, c: {name: of((a + b + c) / np.sqrt(3)) for name, (of, *_) in LAWS.items()},
+        three,
+    )
+    missed = dict.fromkeys(LAWS, 0) | {f"{name}, mean + 3": 0 for name in LAWS}
+    width = []
+    for seed in range(seeds):
+        study = jc.monte_carlo(asked, samples, seed=seed)
+        for name, (_, mean, spread) in LAWS.items():
+            deviation = study.standard_deviation(name)
+            missed[name] += deviation.high < spread or study.mean(name).high < mean
+            limit = jc.limit.MeanAndDeviation(name, at_most=1.0)
+            missed[f"{name}, mean + 3"] += (
+                limit.estimate(*study.good(name)).high < mean + 3 * spread
+            )
+        normal = study.standard_deviation("normal")
+        width.append(0.5 * (normal.high - normal.low))
+    shares = {name: count / seeds for name, count in missed.items()}
+    assert all(share <= (0.15 if "log" in name else 0.09) for name, share in shares.items()), shares
+    # That of independent normal numbers, by Student's factor of eight scramblings.
+    assert np.median(width) < 1.5 * student(8) / np.sqrt(2 * samples)
 
 
-@pytest.mark.parametrize("samples", [1, 2, 3, 4])
-def test_studies_of_a_few_samples_can_be_printed(samples):
-    """No number of samples of one scrambling bounds a quantile."""
-    assert f"{samples} samples, 0 failed" in str(jc.monte_carlo(STACK, samples))
+@pytest.mark.parametrize("rare", [1, 2, 3])
+def test_the_end_of_a_skewed_interval_is_that_of_gamma_parts(rare):
+    """Student's statistic of eight parts with a gamma distribution lies below it in 2.5 % of cases:
+    of 100 000 draws 5.2 (skewness 2.3), 3.3 and 2.7 standard errors, for 2.36 of normal ones."""
+    samples = np.repeat([0.0, 1.0], [8 - rare, rare])
+    shape, rng = 4 / stats.skew(samples) ** 2, np.random.default_rng(0)
+    rows = rng.gamma(shape, size=(100_000, 8)) - shape
+    exact = -np.quantile(rows.mean(axis=1) / rows.std(axis=1, ddof=1) * np.sqrt(8), 0.025)
+    # Parts that show no skewness themselves.
+    parts = np.array([-3.0, -2.0, -1.0, -0.5, 0.5, 1.0, 2.0, 3.0])
+    for sign in (1, -1):
+        below, above = half_widths(parts, sign * samples) / parts.std(ddof=1) * np.sqrt(8)
+        near, far = (below, above) if sign > 0 else (above, below)
+        assert near == pytest.approx(student(8), rel=1e-12)
+        assert far == pytest.approx(exact, rel=0.1)
+    near = half_widths(parts)
+    assert half_widths(parts, np.ones(60)) == half_widths(parts, np.ones(2)) == near
+
+
+def test_the_deviation_of_random_samples_is_the_usual_one_and_few_can_be_printed():
+    study = jc.monte_carlo(STACK, 256, sampling="random", scramblings=256)
+    told = study.standard_deviation("gap").value
+    assert told == pytest.approx(study.responses["gap"].std(ddof=1), rel=1e-12)
+    # No number of samples of one scrambling bounds a quantile.
+    for samples in (1, 2, 3, 4):
+        assert f"{samples} samples, 0 failed" in str(jc.monte_carlo(STACK, samples))
 
 
 def test_the_deviation_of_quasi_random_samples_has_no_bias():
     """A bore 20 H7 and a shaft g6 (ISO 286: 21 um and 13 um wide), both uniform, in closed form.
     Moments about the mean of such a sample lack next to nothing; n - 1 adds 1 / (2 n), 6e-5."""
+    sizes = {"bore": (20.0105e-3, 10.5e-6), "shaft": (19.9865e-3, 6.5e-6)}
     fit = jc.FunctionProblem(
         lambda bore, shaft: bore - shaft,
-        {
-            "bore": jc.Dimension(20.0105e-3, D.Uniform(10.5e-6), unit="m"),
-            "shaft": jc.Dimension(19.9865e-3, D.Uniform(6.5e-6), unit="m"),
-        },
+        {name: jc.Dimension(middle, D.Uniform(half)) for name, (middle, half) in sizes.items()},
     )
     exact = np.sqrt((21e-6**2 + 13e-6**2) / 12)
     studies = [jc.monte_carlo(fit, 8192, seed=seed, verify=False) for seed in range(20)]
@@ -212,13 +256,5 @@ def test_the_deviation_of_quasi_random_samples_has_no_bias():
     assert np.median([abs(one.value / exact - 1) for one in told]) < 1e-5
     capable = [study.process_capability("response", (0.0, 40e-6)) for study in studies]
     assert np.median([abs(one.value * 3 * exact / 16e-6 - 1) for one in capable]) < 1e-5
-    budget = studies[0].error_budget("response")
-    assert sum(part.value for part in budget.values()) == pytest.approx(
-        told[0].value ** 2, rel=1e-12
-    )
-
-
-def test_the_deviation_of_random_samples_is_the_usual_one():
-    study = jc.monte_carlo(STACK, 256, sampling="random", scramblings=256)
-    told = study.standard_deviation("gap").value
-    assert told == pytest.approx(study.responses["gap"].std(ddof=1), rel=1e-12)
+    budget = sum(part.value for part in studies[0].error_budget("response").values())
+    assert budget == pytest.approx(told[0].value ** 2, rel=1e-12)

@@ -1,6 +1,5 @@
 """Surfaces through runs, and statistics that runs correct: against polynomials, refits and closed
-forms.
-"""
+forms."""
 
 import jax
 import jax.numpy as jnp
@@ -26,14 +25,8 @@ def responses(a, b, c):
 
 @pytest.fixture(scope="module")
 def problem():
-    return jc.FunctionProblem(
-        responses,
-        {
-            "a": jc.Dimension(1.0, Normal(0.1)),
-            "b": jc.Dimension(2.0, Uniform(0.3)),
-            "c": jc.Dimension(0.0, tolerance=0.1),
-        },
-    )
+    numbers = {"a": jc.Dimension(1.0, Normal(0.1)), "b": jc.Dimension(2.0, Uniform(0.3))}
+    return jc.FunctionProblem(responses, numbers | {"c": jc.Dimension(0.0, tolerance=0.1)})
 
 
 @pytest.fixture(scope="module")
@@ -113,18 +106,18 @@ def test_terms_are_all_products_of_a_total_degree():
     assert len(powers(np.array([3, 1]), 3)) == 7
 
 
-@pytest.mark.parametrize(
-    ("given", "sentence"),
-    [
-        ({"sample": 3}, "3 of 3 runs reached their end, too few"),
-        ({"over": {"x": (0, 1)}}, 'no variable "x" in this problem'),
-        ({"over": {"a": (1, 0)}}, "two finite numbers, low and high"),
-        ({"degree": 0}, "a whole number, at least 1"),
-    ],
-)
-def test_what_cannot_be_asked_gets_a_sentence(problem, given, sentence):
+REFUSED = {
+    "3 of 3 runs reached their end, too few": {"sample": 3},
+    'no variable "x" in this problem': {"over": {"x": (0, 1)}},
+    "two finite numbers, low and high": {"over": {"a": (1, 0)}},
+    "a whole number, at least 1": {"degree": 0},
+}
+
+
+@pytest.mark.parametrize("sentence", REFUSED)
+def test_what_cannot_be_asked_gets_a_sentence(problem, sentence):
     with pytest.raises(ValueError, match=sentence):
-        jc.surface(problem, **given)
+        jc.surface(problem, **REFUSED[sentence])
 
 
 def test_corrected_intervals_hold_the_closed_form():
@@ -144,12 +137,8 @@ def test_corrected_intervals_hold_the_closed_form():
     for seed in range(40):
         found = jc.corrected_statistics(surface, 16, seed=seed, limits=limit)
         one, rare = found.means["q"], found.probabilities["big"]
-        spread = found.deviations["q"]
-        held += (
-            abs(one.value - mean) < one.error,
-            abs(rare.value - probability) < rare.error,
-            abs(spread.value - deviation) < spread.error,
-        )
+        exact = {mean: one, probability: rare, deviation: found.deviations["q"]}
+        held += [abs(own.value - value) < own.error for value, own in exact.items()]
     assert np.all(held >= (30, 30, 34))
     assert one.gain > 10, "the surface must carry what it explains"
     assert f'P("big") = {rare}.' in found.sentence(), "what was asked for is told"

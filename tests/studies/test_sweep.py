@@ -18,9 +18,8 @@ def root(a, b, c):
 PROBLEM = jc.FunctionProblem(
     root,
     {
-        "a": jc.Dimension(1.0, D.Normal(0.1), unit="mm"),
-        "b": jc.Dimension(0.5, D.Normal(0.1), unit="mm"),
-        "c": jc.Dimension(3.0, D.Normal(0.1), unit="mm"),
+        n: jc.Dimension(x, D.Normal(0.1), unit="mm")
+        for n, x in {"a": 1.0, "b": 0.5, "c": 3.0}.items()
     },
     units={"sum": "mm", "root": "mm"},
 )
@@ -71,17 +70,17 @@ def test_a_mechanism_is_swept_by_one_program():
     np.testing.assert_allclose(found, alone, rtol=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("over", "sentence"),
-    [
-        ({"d": [1.0]}, 'no variable "d"'),
-        ({}, "over of sweep is empty"),
-        ({"a": [1.0, np.nan]}, 'values of "a" in sweep .* a row of finite numbers'),
-        ({"a": "wide"}, 'values of "a" in sweep'),
-        ({"a": 1.0}, "a row of finite numbers"),
-        (["a"], "over of sweep"),
-    ],
-)
-def test_mistakes_get_a_sentence(over, sentence):
+MISTAKES = {
+    'no variable "d"': {"d": [1.0]},
+    "over of sweep is empty": {},
+    'values of "a" in sweep .* a row of finite numbers': {"a": [1.0, np.nan]},
+    'values of "a" in sweep are .wide': {"a": "wide"},
+    "a row of finite numbers": {"a": 1.0},
+    "over of sweep": ["a"],
+}
+
+
+@pytest.mark.parametrize("sentence", MISTAKES)
+def test_mistakes_get_a_sentence(sentence):
     with pytest.raises(ValueError, match=sentence):
-        jc.sweep(PROBLEM, over)
+        jc.sweep(PROBLEM, MISTAKES[sentence])

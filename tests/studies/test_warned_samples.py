@@ -2,8 +2,7 @@
 Monte Carlo tell which of theirs warn, of what, and what rests on these.
 
 An ideal slider-crank in long steps: its loop drifts beyond the limit where it turns fast, and is
-torn, which ends the run, where it turns faster still.
-"""
+torn, which ends the run, where it turns faster still."""
 
 from types import SimpleNamespace
 
@@ -33,13 +32,8 @@ from jaxclear.studies.sensitivity.derivative import Estimate, confirmed
 def loosely_closed():
     """One whose loop drifts open: by default such steps close it anew."""
     ideal = jc.scenes.slider_crank("ideal", crank_speed=60.0)
-    return jc.Mechanism(
-        ideal.bodies,
-        ideal.connections,
-        ideal.loads,
-        **ideal.start_arguments,
-        stabilisation=jc.Baumgarte(),
-    )
+    parts = ideal.bodies, ideal.connections, ideal.loads
+    return jc.Mechanism(*parts, **ideal.start_arguments, stabilisation=jc.Baumgarte())
 
 
 SPEED = {
@@ -47,19 +41,18 @@ SPEED = {
         lambda rig: rig.connections["O"].joint.drive.speed, jc.distribution.Uniform(55.0)
     )
 }
+SLIDER = {"slider": jc.response.FinalCoordinate("A")}
+
+
+def problem_of(response):
+    step = jc.integrator.ImplicitStep(1e-3)
+    how = {"duration": 0.02, "save": 21, "integrator": step}
+    return jc.Problem(loosely_closed(), response, SPEED, **how)
 
 
 @pytest.fixture(scope="module")
 def study():
-    problem = jc.Problem(
-        loosely_closed(),
-        {"slider": jc.response.FinalCoordinate("A"), "speed": lambda run: run.states[-1, 1]},
-        SPEED,
-        duration=0.02,
-        save=21,
-        integrator=jc.integrator.ImplicitStep(1e-3),
-    )
-    return jc.monte_carlo(problem, 64)
+    return jc.monte_carlo(problem_of(SLIDER | {"speed": lambda run: run.states[-1, 1]}), 64)
 
 
 def test_samples_that_warn_are_counted_by_index_and_kind(study):
@@ -114,14 +107,9 @@ def test_a_response_is_in_doubt_where_a_warning_concerns_it():
 
 
 def test_a_failed_sample_is_not_counted_twice(study):
-    fast = eqx.tree_at(
-        lambda p: (p.mechanism.connections["O"].joint.drive.speed, p.variables["crank"]),
-        study.problem,
-        (
-            jnp.asarray(np.float64(400.0)),
-            jc.Variable(SPEED["crank"].where, jc.distribution.Uniform(390.0)),
-        ),
-    )
+    where = lambda p: (p.mechanism.connections["O"].joint.drive.speed, p.variables["crank"])
+    spread = jc.Variable(SPEED["crank"].where, jc.distribution.Uniform(390.0))
+    fast = eqx.tree_at(where, study.problem, (jnp.asarray(400.0), spread))
     found = jc.monte_carlo(fast, 64)
     torn = np.flatnonzero(found.outcome == jc.integrator.Outcome.LOOP_OPEN)
     assert 0 < len(torn) < 64 and set(torn) <= set(found.failed)
@@ -146,16 +134,12 @@ def test_a_derivative_says_which_runs_warn_and_is_not_trusted(study):
 
 
 def test_kinds_are_told_most_frequent_first(study):
-    among = np.arange(64) < 60
-    assert in_words({Check.GAP_MOTION: 3, Check.LOOP_DRIFT: 1}) == (
-        "motion in the gap in 3, loop drift in 1"
-    )
-    assert counted(study.checks, among) == {
-        Check.LOOP_DRIFT: int(np.isin(study.warned, np.flatnonzero(among)).sum())
-    }
-    assert concern(study.problem, "slider", study.checks, ~among | among)[0] == pytest.approx(
-        len(study.warned) / 64
-    )
+    among, kinds = np.arange(64) < 60, {Check.GAP_MOTION: 3, Check.LOOP_DRIFT: 1}
+    assert in_words(kinds) == "motion in the gap in 3, loop drift in 1"
+    found = counted(study.checks, among)
+    assert found == {Check.LOOP_DRIFT: int(np.isin(study.warned, np.flatnonzero(among)).sum())}
+    share = concern(study.problem, "slider", study.checks, ~among | among)[0]
+    assert share == pytest.approx(len(study.warned) / 64)
 
 
 def test_they_are_told_in_print_and_below_the_histogram(study, capsys):
@@ -184,14 +168,7 @@ def test_a_figure_of_warned_infinite_answers_says_that_there_is_no_mean():
 
 @pytest.fixture(scope="module")
 def problem():
-    return jc.Problem(
-        loosely_closed(),
-        {"slider": jc.response.FinalCoordinate("A")},
-        SPEED,
-        duration=0.02,
-        save=21,
-        integrator=jc.integrator.ImplicitStep(1e-3),
-    )
+    return problem_of(SLIDER)
 
 
 @pytest.fixture(scope="module")

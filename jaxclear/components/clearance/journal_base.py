@@ -78,7 +78,7 @@ def _rotate(x: Any, y: Any, times: int) -> tuple[Any, Any]:
     return c, s
 
 
-def touched(lobes: Sequence[Lobes], clearance: Any, offset: sp.Vec) -> tuple[Any, Any, Any]:
+def find_touch(lobes: Sequence[Lobes], clearance: Any, offset: sp.Vec) -> tuple[Any, Any, Any]:
     """Direction (x, y) in which a journal is nearest to the wall of a lobed bore, and its overlap.
 
     The overlap [m] is exact where the journal touches, and negative where it does not.
@@ -176,7 +176,7 @@ class AbstractJournalBearing(AbstractClearance):
         """
         if self.roundness is None:
             return (*direction(offset, 2), sp.norm(offset[:2]) - self.clearance)
-        return touched(self.roundness, self.clearance, offset)
+        return find_touch(self.roundness, self.clearance, offset)
 
     def leaned(self, lean: sp.Vec) -> sp.Vec:
         """Where a journal lies that is pressed in a direction.

@@ -53,7 +53,7 @@ def _as_end(value: Any) -> Any:
     return JointName(value) if type(value) is str else value
 
 
-def end() -> Any:
+def end_field() -> Any:
     """Field of an end of a coupling: the name of a joint, or a `Motor`."""
     return eqx.field(converter=_as_end)
 
@@ -69,7 +69,7 @@ def as_name(value: Any) -> Any:
     return value
 
 
-def named_end() -> Any:
+def coordinate_field() -> Any:
     """Field of an end of a coupling that is no `Motor`: the name of a coordinate."""
     return eqx.field(static=True, converter=as_name)
 

@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import jax.numpy as jnp
 
-from jaxclear.components.coupling.base import named_end
+from jaxclear.components.coupling.base import coordinate_field
 from jaxclear.components.coupling.force import AbstractForceCoupling, check_needed
 from jaxclear.components.function_of_angle import check_function_of_angle, value_and_slope
 from jaxclear.components.load_base import CoordinateEffect
@@ -50,8 +50,8 @@ class Cam(AbstractForceCoupling):
     Source: Norton 2020, Design of Machinery, 6th ed., chapters 8 and 15.
     """
 
-    cam: str = named_end()
-    follower: str = named_end()
+    cam: str = coordinate_field()
+    follower: str = coordinate_field()
     profile: Callable
     stiffness: Scalar = quantity(None, "N/m", above=0, kw_only=True)
     damping: Scalar | None = quantity(None, "N s/m", at_least=0, kw_only=True)

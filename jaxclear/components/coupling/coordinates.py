@@ -5,9 +5,9 @@ from jaxclear.components.coupling.base import (
     AbstractCoordinateCoupling,
     CoordinateTerm,
     Motor,
+    coordinate_field,
     damping_field,
-    end,
-    named_end,
+    end_field,
     play_field,
     stiffness_field,
 )
@@ -33,8 +33,8 @@ class Ratio(AbstractCoordinateCoupling):
         damping: viscous damping [N m s/rad; N s/m for a sliding joint], >= 0; none by default.
     """
 
-    follower: str | Motor = end()
-    leader: str | Motor = end()
+    follower: str | Motor = end_field()
+    leader: str | Motor = end_field()
     ratio: Scalar = quantity(unit="1")
     offset: Scalar | None = quantity(None, "rad", sliding="m")
     play: Backlash | None = play_field()
@@ -68,9 +68,9 @@ class Differential(AbstractCoordinateCoupling):
     Source: Willis 1841, Principles of Mechanism; Müller 1982, Epicyclic Drive Trains, chapter 2.
     """
 
-    a: str = named_end()
-    b: str = named_end()
-    carrier: str = named_end()
+    a: str = coordinate_field()
+    b: str = coordinate_field()
+    carrier: str = coordinate_field()
     ratio: Scalar = quantity(1.0, "1", above=0)
     play: Backlash | None = play_field()
     stiffness: Scalar | None = stiffness_field()
@@ -105,7 +105,7 @@ class Latch(AbstractCoordinateCoupling):
         ValueError: if neither play nor stiffness is given.
     """
 
-    joint: str = named_end()
+    joint: str = coordinate_field()
     place: Scalar | None = quantity(None, "rad", sliding="m")
     play: Backlash | None = play_field()
     stiffness: Scalar | None = stiffness_field()

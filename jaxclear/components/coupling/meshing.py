@@ -12,7 +12,7 @@ from jaxclear.components.coupling.base import (
     CoordinateTerm,
     Motor,
     damping_field,
-    end,
+    end_field,
     play_field,
     stiffness_field,
 )
@@ -22,7 +22,7 @@ from jaxclear.ground import sparse as sp
 from jaxclear.ground.numerics import direction_angle, safe_sqrt
 from jaxclear.ground.pose import Pose
 from jaxclear.ground.quantity import Scalar, concrete, quantity
-from jaxclear.laws.transmission import helix
+from jaxclear.laws.transmission import helix_of_thread
 
 
 class Gear(AbstractBodyCoupling):
@@ -63,8 +63,8 @@ class Gear(AbstractBodyCoupling):
     doi:10.1017/CBO9780511547126.
     """
 
-    a: str | Motor = end()
-    b: str | Motor = end()
+    a: str | Motor = end_field()
+    b: str | Motor = end_field()
     ratio: Scalar = quantity(unit="1", above=0)
     pressure_angle: Scalar | None = quantity(None, "rad", above=-1, below=1, kw_only=True)
     internal: bool = eqx.field(static=True, default=False, kw_only=True)
@@ -93,7 +93,7 @@ class Gear(AbstractBodyCoupling):
             )
 
     def joints(self):
-        return named(self.a, self.b)
+        return joint_ends(self.a, self.b)
 
     def moves(self):
         return ("rad",), ("rad",)
@@ -172,8 +172,8 @@ class Belt(AbstractBodyCoupling):
         ValueError: for a pretension without stiffness, or with play.
     """
 
-    a: str | Motor = end()
-    b: str | Motor = end()
+    a: str | Motor = end_field()
+    b: str | Motor = end_field()
     radius_a: Scalar = quantity(unit="m", above=0)
     radius_b: Scalar = quantity(unit="m", above=0)
     crossed: bool = eqx.field(static=True, default=False, kw_only=True)
@@ -195,7 +195,7 @@ class Belt(AbstractBodyCoupling):
         return 2 * self.pretension * self.radius_a / self.stiffness
 
     def joints(self):
-        return named(self.a, self.b)
+        return joint_ends(self.a, self.b)
 
     def moves(self):
         return ("rad",), ("rad",)
@@ -252,7 +252,7 @@ class Rack(AbstractBodyCoupling):
             none by default.
     """
 
-    pinion: str | Motor = end()
+    pinion: str | Motor = end_field()
     rack: str = eqx.field(static=True)
     radius: Scalar = quantity(unit="m", above=0)
     pressure_angle: Scalar | None = quantity(None, "rad", above=-1, below=1, kw_only=True)
@@ -262,7 +262,7 @@ class Rack(AbstractBodyCoupling):
     damping: Scalar | None = damping_field()
 
     def joints(self):
-        return named(self.pinion, self.rack)
+        return joint_ends(self.pinion, self.rack)
 
     def moves(self):
         return ("rad",), ("m",)
@@ -399,7 +399,7 @@ class Screw(AbstractBodyCoupling):
     def thread(self):
         if self.friction is None:
             return None
-        turns = helix(self.lead, self.diameter, self.flank_angle)
+        turns = helix_of_thread(self.lead, self.diameter, self.flank_angle)
         return Thread(turns, self.friction, self.presliding, self.settling_time)
 
     def check(self, drawn):
@@ -413,7 +413,7 @@ NO_TANGENT = 1 - 1e-9
 PARALLEL = 1e-6
 
 
-def named(*ends: Any) -> tuple[str, ...]:
+def joint_ends(*ends: Any) -> tuple[str, ...]:
     """Those of the ends that are joints."""
     return tuple(one for one in ends if isinstance(one, str))
 

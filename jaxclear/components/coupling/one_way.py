@@ -1,10 +1,10 @@
 """A freewheel (sprag clutch, ratchet, backstop): it turns with its shaft one way only."""
 
-from jaxclear.components.coupling.base import named_end
+from jaxclear.components.coupling.base import coordinate_field
 from jaxclear.components.coupling.force import AbstractForceCoupling, check_needed
 from jaxclear.components.load_base import CoordinateEffect, LoadState
 from jaxclear.ground.quantity import Scalar, quantity
-from jaxclear.laws.transmission import freewheel
+from jaxclear.laws.transmission import freewheel_pull
 
 
 class OneWay(AbstractForceCoupling):
@@ -32,8 +32,8 @@ class OneWay(AbstractForceCoupling):
     Control Signal Process. 11, 49, with one flank.
     """
 
-    a: str = named_end()
-    b: str = named_end()
+    a: str = coordinate_field()
+    b: str = coordinate_field()
     ratio: Scalar = quantity(1.0, "1")
     stiffness: Scalar = quantity(None, "N m/rad", sliding="N/m", above=0, kw_only=True)
     damping: Scalar = quantity(None, "N m s/rad", sliding="N s/m", above=0, kw_only=True)
@@ -49,7 +49,7 @@ class OneWay(AbstractForceCoupling):
 
     def effect(self, time, positions, speeds, states):
         rate = speeds[0] - self.ratio * speeds[1]
-        (force, stored, loss), wound = freewheel(states[0], rate, self.stiffness, self.damping)
+        (force, stored, loss), wound = freewheel_pull(states[0], rate, self.stiffness, self.damping)
         return CoordinateEffect((-force, self.ratio * force), (wound,), stored, loss, 0)
 
     def reads_position(self):

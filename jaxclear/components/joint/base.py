@@ -202,7 +202,7 @@ class AbstractVectorJoint(AbstractJoint):
         return (0,) * len(a)
 
     def start(self, values):
-        return complete(self, values)
+        return check_complete(self, values)
 
 
 class AbstractLikeIdeal(AbstractVectorJoint):
@@ -249,7 +249,7 @@ def drive_of(joint: Any) -> AbstractDrive | None:
     return joint.drive if isinstance(joint, AbstractDrivenJoint) else None
 
 
-def complete(joint: AbstractJoint, values: tuple) -> tuple:
+def check_complete(joint: AbstractJoint, values: tuple) -> tuple:
     """The coordinates given, if there is one for each of the joint's."""
     if len(values) != len(joint.home):
         many = len(joint.home)
@@ -258,7 +258,7 @@ def complete(joint: AbstractJoint, values: tuple) -> tuple:
     return values
 
 
-def turning(pose: Pose, spin: sp.Vec) -> Any:
+def turn_rate(pose: Pose, spin: sp.Vec) -> Any:
     """Rate [rad/s] of the angle about the parent's z axis at which the child's x axis is seen, for
     a relative spin in the parent's axes; that about z where the z axes agree."""
     x, y, lean = (row[0] for row in pose.rotation)
@@ -497,8 +497,8 @@ def pressed_end(
 def ball_end(force: sp.Vec, ratio: tuple, radius: Any, clearance: Any) -> CarryingEnd:
     r"""A ball that carries a force with friction, and the direction in which it leans.
 
-    :math:`F = -N n + m \times n`, with m the friction's torque over the radius, so that
-    :math:`n = -(N F + m \times F) / |F|^2`.
+    :math:`F = -N n + m \times n`, with m the friction's torque over the radius, so that :math:`n =
+    -(N F + m \times F) / |F|^2`.
 
     Args:
         force: on the ball [N].

@@ -4,12 +4,12 @@ orientation. Speeds are in the child's axes.
 Exponentials and brackets of rotations and rigid displacements, for increments in body axes, on
 sparse scalars.
 
-An increment is a velocity in body axes held for unit time: `turned`, `displaced` and `slid` tell
-where it ends. Quaternions are made unit again after each product, exactly: products alone drift
-like a random walk of rounding errors. Twists are linear then angular. Coefficients are entire
-functions of the squared angle (Murray, Li & Sastry 1994, A Mathematical Introduction to Robotic
-Manipulation, section 2.3), summed as series below SERIES_SQUARE, so every derivative is finite at
-rest.
+An increment is a velocity in body axes held for unit time: `turn_quaternion`, `move_pose` and
+`move_in_plane` tell where it ends. Quaternions are made unit again after each product, exactly:
+products alone drift like a random walk of rounding errors. Twists are linear then angular.
+Coefficients are entire functions of the squared angle (Murray, Li & Sastry 1994, A Mathematical
+Introduction to Robotic Manipulation, section 2.3), summed as series below SERIES_SQUARE, so every
+derivative is finite at rest.
 """
 
 import functools
@@ -20,7 +20,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxclear.components.joint.base import ANGULAR, LINEAR, AbstractGroupJoint, angle, complete
+from jaxclear.components.joint.base import (
+    ANGULAR,
+    LINEAR,
+    AbstractGroupJoint,
+    angle,
+    check_complete,
+)
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.pose import Pose, quaternion_rate, rotation_from_quaternion, rotation_z
 from jaxclear.ground.quantity import concrete
@@ -61,7 +67,7 @@ class Spherical(AbstractGroupJoint):
         return None
 
     def moved(self, q, increment):
-        return turned(q, increment)
+        return turn_quaternion(q, increment)
 
     def retracted(self, q, increment):
         return _normalise([a + b for a, b in zip(q, self.rate(q, increment), strict=True)])
@@ -83,7 +89,7 @@ class Spherical(AbstractGroupJoint):
             return _quaternion_of_vector(
                 *(x if isinstance(x, jax.Array) else np.asarray(x, float) for x in turn)
             )
-        return complete(self, _check_quaternion(values))
+        return check_complete(self, _check_quaternion(values))
 
 
 class Planar(AbstractGroupJoint):
@@ -110,7 +116,7 @@ class Planar(AbstractGroupJoint):
         return None
 
     def moved(self, q, increment):
-        return slid(q, increment)
+        return move_in_plane(q, increment)
 
     def retracted(self, q, increment):
         return tuple(a + b for a, b in zip(q, self.rate(q, increment), strict=True))
@@ -127,7 +133,7 @@ class Planar(AbstractGroupJoint):
         return (x, y, spin[2])
 
     def start(self, values):
-        return complete(self, values)
+        return check_complete(self, values)
 
 
 class Free(AbstractGroupJoint):
@@ -156,7 +162,7 @@ class Free(AbstractGroupJoint):
         return None
 
     def moved(self, q, increment):
-        return displaced(q, increment)
+        return move_pose(q, increment)
 
     def retracted(self, q, increment):
         place = [a + b for a, b in zip(q, self.rate(q, increment), strict=True)]
@@ -177,7 +183,7 @@ class Free(AbstractGroupJoint):
     def start(self, values):
         if len(values) == 3:
             return (*values, *NO_TURN)
-        return complete(self, _check_quaternion(values))
+        return check_complete(self, _check_quaternion(values))
 
     def start_mask(self, values):
         return (True,) * 3 + (len(values) != 3,) * 3
@@ -239,14 +245,14 @@ def lag(square: Any, cosine: Any, sine: Any) -> Any:
     )
 
 
-def turned(quaternion: tuple, angular: sp.Vec) -> tuple:
+def turn_quaternion(quaternion: tuple, angular: sp.Vec) -> tuple:
     """The unit quaternion after a turn by a rotation vector [rad] in body axes, of a quaternion of
     any nonzero length.
     """
     return _rotate(quaternion, angular, half_turn(sp.dot(angular, angular)))
 
 
-def displaced(coordinates: tuple, twist: tuple) -> tuple:
+def move_pose(coordinates: tuple, twist: tuple) -> tuple:
     """Position and unit quaternion after the screw motion of a twist (linear [m], angular [rad]) in
     body axes.
     """
@@ -264,7 +270,7 @@ def displaced(coordinates: tuple, twist: tuple) -> tuple:
     return (*position, *_rotate(coordinates[3:], angular, (cosine, sine)))
 
 
-def slid(coordinates: tuple, twist: tuple) -> tuple:
+def move_in_plane(coordinates: tuple, twist: tuple) -> tuple:
     """Position x, y and angle after the turn of a planar twist (x, y [m], angle [rad]) in body
     axes.
     """

@@ -11,7 +11,7 @@ from jaxclear.components.joint.base import (
     AbstractDrivenJoint,
     AbstractVectorJoint,
     angle,
-    turning,
+    turn_rate,
 )
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.pose import FLIP, REST, Pose, Twist, rotation_x, rotation_y, rotation_z
@@ -47,7 +47,7 @@ class Revolute(AbstractDrivenJoint):
         return (angle(pose.rotation[1][0], pose.rotation[0][0]),)
 
     def speeds_at(self, pose, velocity, spin):
-        return (turning(pose, spin),)
+        return (turn_rate(pose, spin),)
 
 
 class Prismatic(AbstractDrivenJoint):
@@ -100,7 +100,7 @@ class Cylindrical(AbstractVectorJoint):
         return (pose.translation[2], angle(pose.rotation[1][0], pose.rotation[0][0]))
 
     def speeds_at(self, pose, velocity, spin):
-        return (velocity[2], turning(pose, spin))
+        return (velocity[2], turn_rate(pose, spin))
 
 
 class Universal(AbstractVectorJoint):

@@ -73,7 +73,7 @@ class AbstractRestitutionFactor(AbstractDissipation):
         prescribed, factor = concrete(self.restitution), concrete(on_host(self).factor())
         if prescribed is None or factor is None:
             return
-        rebound = rebound_by(factor)
+        rebound = restitution_for(factor)
         off = rebound / prescribed - 1
         if abs(off) > MISSED:
             side = "high" if off > 0 else "low"
@@ -88,7 +88,7 @@ class AbstractRestitutionFactor(AbstractDissipation):
         return self.factor() * rate / impact_speed
 
 
-def rebound_by(factor: float) -> float:
+def restitution_for(factor: float) -> float:
     """e [1] of the relation above for the factor d: in y = -ln(1 - d e) it is y = d (1 + e) -
     ln(1 + d), whose residual is convex; Newton's method comes down to its root from d + 1."""
     if factor < NO_LOSS:

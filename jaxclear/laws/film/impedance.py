@@ -72,12 +72,12 @@ def chebyshev(x: Any, count: int) -> Any:
     return jnp.stack(values)
 
 
-def parity(e: Any, harmonic: int) -> Any:
+def parity_weight(e: Any, harmonic: int) -> Any:
     """By what a harmonic vanishes at the centre."""
     return e if harmonic % 2 == 0 else 1.0 if harmonic == 1 else e * e
 
 
-def cavitated(film: str, e: Any, closing: Any, across: Any, slenderness: Any) -> tuple[Any, Any]:
+def film_force(film: str, e: Any, closing: Any, across: Any, slenderness: Any) -> tuple[Any, Any]:
     """Dimensionless force of a cavitated film against closing and across.
 
     Args:
@@ -106,10 +106,10 @@ def cavitated(film: str, e: Any, closing: Any, across: Any, slenderness: Any) ->
         sine.append(2 * c * sine[-1] - sine[-2])
     for (part, k), term in terms.items():
         if part == "closing":
-            weight = parity(e, k) * term
+            weight = parity_weight(e, k) * term
             radial, opened = radial + weight * cosine[k], opened + (-1) ** k * weight
         elif part == "across":
-            weight = first + e * e * term if k == 1 else parity(e, k) * term
+            weight = first + e * e * term if k == 1 else parity_weight(e, k) * term
             beside = beside + weight * sine[k]
     # What is left where the film opens fixes the mean: t^3 of what closes at the centre.
     radial = radial - opened - t * t * t * (first + e * terms["opening", 0])
@@ -143,7 +143,7 @@ class Reynolds(AbstractFilm):
     thinnest: Scalar = thinnest_field()
 
     def force(self, eccentricity_ratio, closing, across, slenderness):
-        return cavitated("reynolds", eccentricity_ratio, closing, across, slenderness)
+        return film_force("reynolds", eccentricity_ratio, closing, across, slenderness)
 
 
 class HalfFilm(AbstractFilm):
@@ -166,4 +166,4 @@ class HalfFilm(AbstractFilm):
     thinnest: Scalar = thinnest_field()
 
     def force(self, eccentricity_ratio, closing, across, slenderness):
-        return cavitated("half", eccentricity_ratio, closing, across, slenderness)
+        return film_force("half", eccentricity_ratio, closing, across, slenderness)

@@ -21,7 +21,7 @@ import matplotlib
 import matplotlib.colors
 import numpy as np
 
-from jaxclear.components.beam import beam_of, wholes
+from jaxclear.components.beam import beam_of, whole_bodies
 from jaxclear.components.body import GROUND, Marker
 from jaxclear.components.load import Gravity
 from jaxclear.ground.argument_errors import answering
@@ -32,7 +32,7 @@ from jaxclear.results.solids import (
     Part,
     Triangles,
     checked_meshes,
-    joined,
+    join_parts,
     moves_in_plane,
     parts,
     size_of,
@@ -240,7 +240,7 @@ def _data_for_script(
         "time": np.asarray(run.time)[frames],
         "bodies": [
             {"name": name, "colour": colours[name], "com": np.asarray(run.body(name).com)[frames]}
-            for name in wholes(run.mechanism.bodies)
+            for name in whole_bodies(run.mechanism.bodies)
         ],
         "ground": f"#{GREY:06x}",
         "joints": [inset(run, name, frames, last) for name in joints],
@@ -260,7 +260,7 @@ def _choose_colours(run: Trajectory) -> dict[str, str]:
     palette = [matplotlib.colors.to_hex(f"C{k}") for k in range(10)]
     palette.pop(7)  # the grey of the ground
     bodies = run.mechanism.bodies
-    names = wholes(bodies)
+    names = whole_bodies(bodies)
     return {n: palette[names.index(beam_of(bodies, n)) % len(palette)] for n in bodies}
 
 
@@ -293,7 +293,7 @@ def _html_page(
         meshes = {name: (part.triangles, 1.0)}
         if name in glass:
             through = f"{name}, seen through"
-            meshes = {name: (joined(part.joints.values()), 1.0), through: (part.solid, GLASS)}
+            meshes = {name: (join_parts(part.joints.values()), 1.0), through: (part.solid, GLASS)}
         for called, (triangles, opacity) in meshes.items():
             if not len(triangles.points):
                 continue

@@ -23,7 +23,7 @@ from jaxclear.components.clearance import (
 from jaxclear.ground import sparse as sp
 from jaxclear.results.relative_motion import marker_motion
 from jaxclear.results.response import PeakContactForce
-from jaxclear.results.solids import Triangles, joined, rod
+from jaxclear.results.solids import Triangles, join_parts, rod
 from jaxclear.results.trajectory import Trajectory
 
 # Length of the arrow of the largest force and of the smallest, and its radius, as shares of the
@@ -52,7 +52,7 @@ def arrow() -> Triangles:
     low, high = np.arange(12), (np.arange(12) + 1) % 12
     side = np.stack([low, high, np.full(12, 12)], -1)
     base = np.stack([high, low, np.full(12, 13)], -1)
-    return joined([shaft, Triangles(points, np.concatenate([side, base]))])
+    return join_parts([shaft, Triangles(points, np.concatenate([side, base]))])
 
 
 def pushes(run: Trajectory, frames: np.ndarray, last: int, size: float) -> Pushes:

@@ -68,9 +68,9 @@ def design(
         ValueError: if an argument is wrong.
     """
     question = _make_question(problem, cost, limits, tolerance, nominal, choose)
-    settings = _settings(settings)
+    settings = _check_settings(settings)
     check_flags("design", progress_bar=progress_bar)
-    return _designed(question, _runs(problem, settings, progress_bar), settings)
+    return _search_design(question, _make_runs(problem, settings, progress_bar), settings)
 
 
 @answering
@@ -120,13 +120,13 @@ def pareto_front(
     check_count("limit of pareto_front", limit, at_least=0)
     if limit >= len(question.limits):
         raise ValueError(f"there is no limit {limit}; there are {len(question.limits)}, from 0 on.")
-    settings = _settings(settings)
-    runs = _runs(problem, settings, show)
+    settings = _check_settings(settings)
+    runs = _make_runs(problem, settings, show)
     designs = []
     for bound in bounds:
         bounded_limits = list(question.limits)
         bounded_limits[limit] = bounded_limits[limit].with_bound(bound)
-        designs.append(_designed(question.with_limits(tuple(bounded_limits)), runs, settings))
+        designs.append(_search_design(question.with_limits(tuple(bounded_limits)), runs, settings))
     return designs
 
 
@@ -143,13 +143,13 @@ def _make_question(
     )
 
 
-def _settings(settings: DesignSettings | None) -> DesignSettings:
+def _check_settings(settings: DesignSettings | None) -> DesignSettings:
     settings = DesignSettings() if settings is None else settings
     expect(settings, DesignSettings, "settings of design", "a jaxclear.DesignSettings")
     return settings
 
 
-def _direct(problem: Problem, settings: DesignSettings) -> bool:
+def _is_direct(problem: Problem, settings: DesignSettings) -> bool:
     """Whether the problem answers without a surface."""
     refused, in_doubt = problem.description.derivative
     if settings.surface is False and refused:
@@ -162,15 +162,15 @@ def _direct(problem: Problem, settings: DesignSettings) -> bool:
     return problem.cost().cheap and not refused and not in_doubt
 
 
-def _runs(problem: Problem, settings: DesignSettings, show: bool) -> Runs:
+def _make_runs(problem: Problem, settings: DesignSettings, show: bool) -> Runs:
     cost = problem.cost()
     batch = BATCH if cost.compiled and not cost.cheap else cost.batch
     return Runs(problem, show, min(batch, settings.samples))
 
 
-def _designed(question: Question, runs: Runs, settings: DesignSettings) -> Design:
+def _search_design(question: Question, runs: Runs, settings: DesignSettings) -> Design:
     before = runs.count, runs.computed, runs.failed
-    search = sought(question, runs, settings, _direct(runs.problem, settings))
+    search = sought(question, runs, settings, _is_direct(runs.problem, settings))
     return _make_design(search, runs, settings, before)
 
 

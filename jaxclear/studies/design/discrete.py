@@ -34,14 +34,14 @@ class Option(NamedTuple):
 
 def chosen(search: Search, relaxed: Candidate) -> Candidate:
     """The best candidate whose numbers can be had; the relaxed one where all can."""
-    options = _options(search)
+    options = _list_options(search)
     if not options:
         return relaxed
     tried: dict[tuple[int, ...], Candidate] = {}
 
     def narrowed(which: tuple[int, ...]) -> Search:
         pairs = zip(options.items(), which, strict=True)
-        return _narrowed(search, {i: row[k] for (i, row), k in pairs})
+        return _narrow_search(search, {i: row[k] for (i, row), k in pairs})
 
     def best(which: tuple[int, ...]) -> Candidate:
         if which not in tried:
@@ -65,7 +65,7 @@ def chosen(search: Search, relaxed: Candidate) -> Candidate:
         result = best(here)
         for i in np.argsort(least, kind="stable"):
             cheaper = result.broken > NEGLIGIBLE_EXCESS or least[i] < result.cost
-            if cheaper and not _hopeless(searches[i], relaxed.place, list(options)):
+            if cheaper and not _is_hopeless(searches[i], relaxed.place, list(options)):
                 other = best(combinations[i])
                 result = other if other.better(result) else result
         return result
@@ -81,7 +81,7 @@ def chosen(search: Search, relaxed: Candidate) -> Candidate:
     return best(here)
 
 
-def _options(search: Search) -> dict[int, list[Option]]:
+def _list_options(search: Search) -> dict[int, list[Option]]:
     """What each free number may be chosen from, by its number."""
     freedom, cost = search.question.freedom, search.question.cost
     options_of: dict[int, list[Option]] = {}
@@ -112,7 +112,7 @@ def _near(options: list[Option], place: float, every: bool) -> list[int]:
     return np.argsort(away, kind="stable").tolist()
 
 
-def _narrowed(search: Search, taken: dict[int, Option]) -> Search:
+def _narrow_search(search: Search, taken: dict[int, Option]) -> Search:
     """The same search with these options, by the number of the free number."""
     low, high, question = search.low.copy(), search.high.copy(), search.question
     for i, option in taken.items():
@@ -124,7 +124,7 @@ def _narrowed(search: Search, taken: dict[int, Option]) -> Search:
     return search._replace(question=question, low=low, high=high)
 
 
-def _hopeless(search: Search, place: np.ndarray, chosen: list[int]) -> bool:
+def _is_hopeless(search: Search, place: np.ndarray, chosen: list[int]) -> bool:
     """Whether a limit is broken with the finest of these tolerances, and nothing that may move from
     there lowers its excess, to first order."""
     place = np.clip(place, search.low, search.high)

@@ -195,7 +195,13 @@ def deviation(values: Values, weights: Values) -> Scalar:
 
 
 def quantile(values: Values, weights: Values, share: Scalar) -> Scalar:
-    """Value that a `share` of the population exceeds [1]."""
+    """Smoothed value that a share of the population exceeds, differentiable.
+
+    Args:
+        values: of a response, shape (samples,).
+        weights: of the samples [1], with a sum of 1.
+        share: of the population above the result [1], > 0 and < 1.
+    """
     order = jnp.argsort(-values)
     above = jnp.concatenate([jnp.zeros(1), jnp.cumsum(weights[order])])
     width = SMOOTHING * jnp.minimum(share, 1.0 - share)
@@ -204,7 +210,13 @@ def quantile(values: Values, weights: Values, share: Scalar) -> Scalar:
 
 
 def share_above(values: Values, weights: Values, threshold: Scalar) -> Scalar:
-    """Share of the population above a threshold."""
+    """Share of the population above a threshold [1].
+
+    Args:
+        values: of a response, shape (samples,).
+        weights: of the samples [1], with a sum of 1.
+        threshold: in the unit of the values.
+    """
     return jnp.sum(jnp.where(values > threshold, weights, 0.0))
 
 
@@ -289,7 +301,8 @@ class MeanAndDeviation(AbstractOneSidedLimit):
     def estimate(self, values, group):
         factor = float(self.deviations) * (1.0 if self.upper() else -1.0)
         number = lambda values, group: values.mean() + factor * scrambled.deviation(values, group)
-        return scrambled.jackknifed(number, values, group, skewed=True, grouped=True)
+        contributions = scrambled.contributions_to_moments(values, factor)
+        return scrambled.jackknifed(number, values, group, contributions, grouped=True)
 
     def rarest(self):
         return 0.5

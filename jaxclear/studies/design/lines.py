@@ -37,7 +37,13 @@ def line_choices(problem: Any, choose: Any) -> list[Choice]:
 
 
 def cost_by_number(problem: Any, choose: Any, cost: Any) -> Any:
-    """Costs of lines by the first of their numbers, in place of the line's name."""
+    """Costs of a drawing's lines by the first of their numbers, instead of by the line's name.
+
+    Args:
+        problem: groups the numbers of a line under its name.
+        choose: lines that a user leaves open, by name; None: none.
+        cost: by name; anything but a mapping is returned unchanged.
+    """
     if not isinstance(cost, Mapping):
         return cost
     first = {name: problem.names[problem.groups[name][0]] for name in choose or {}}

@@ -79,7 +79,14 @@ class Search(NamedTuple):
 
 @eqx.filter_jit
 def linearise(question: Question, model: AbstractModel, points: Points, place: Any):
-    """Cost and excesses of a candidate, (1 + limits,), and their slopes, (1 + limits, free)."""
+    """Cost and excesses of a candidate, (1 + limits,), and their slopes, (1 + limits, free).
+
+    Args:
+        question: cost and limits.
+        model: responses of a candidate's parts.
+        points: standard normal points of the population.
+        place: the candidate, shape (free,), scaled numbers.
+    """
 
     def both(at):
         values = jnp.append(question.price(at), question.excesses(at, model, points))
@@ -97,13 +104,13 @@ def cheapest(search: Search, starts: list[np.ndarray]) -> Candidate:
     """The best that SLSQP finds from several starts."""
     best = None
     for start in starts:
-        one = _from_one(search, np.clip(start, search.low, search.high))
+        one = _optimise_from(search, np.clip(start, search.low, search.high))
         best = one if best is None or one.better(best) else best
     assert best is not None
     return best
 
 
-def _from_one(search: Search, start: np.ndarray) -> Candidate:
+def _optimise_from(search: Search, start: np.ndarray) -> Candidate:
     cache: dict[bytes, tuple] = {}
 
     def at(place):
@@ -140,8 +147,16 @@ def judged(search: Search, place: np.ndarray) -> Candidate:
 def multipliers(
     excess: np.ndarray, slopes: np.ndarray, place: np.ndarray, search: Search
 ) -> np.ndarray:
-    """Multipliers (limits,) of the limits that decide, 0 of the others: $\\nabla C = -\\sum
-    \\lambda_j \\nabla g_j$, but for places at their ends, with $\\lambda_j \\ge 0$."""
+    r"""Multipliers (limits,) of the limits that decide, 0 of the others.
+
+    $\nabla C = -\sum \lambda_j \nabla g_j$, but for places at their ends, with $\lambda_j \ge 0$.
+
+    Args:
+        excess: of the limits [1], shape (limits,).
+        slopes: of cost and excesses by the free numbers, shape (1 + limits, free).
+        place: the candidate, shape (free,).
+        search: with the ends of the free numbers.
+    """
     deciding = np.flatnonzero(excess > -ACTIVE)
     low, high = place - search.low < ACTIVE, search.high - place < ACTIVE
     unit = np.eye(len(place))

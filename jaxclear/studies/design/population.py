@@ -42,12 +42,20 @@ def points(
     shifts: tuple[np.ndarray, ...] = (),
     matched: bool = False,
 ) -> Points:
-    """Quasi-random points. `shifts`: centres (variables,) of rare regions, each of which gets as
-    many points as the middle; all are weighted by the balance heuristic of Veach & Guibas 1995
-    (https://doi.org/10.1145/218380.218498). `matched`: mean and covariance are those of the
-    distribution itself, where there are no shifts."""
+    """Quasi-random standard normal points, weighted by the balance heuristic around rare regions.
+
+    Args:
+        variables: number of variables.
+        samples: points around each centre.
+        seed: of the scrambling.
+        shifts: centres (variables,) of rare regions, besides the middle.
+        matched: whether mean and covariance are made those of the distribution; without shifts
+            only.
+
+    Source: Veach & Guibas 1995, SIGGRAPH 95, 419, doi:10.1145/218380.218498.
+    """
     if not shifts and matched:
-        return Points(_matched(variables, samples, seed), np.full(samples, 1.0 / samples))
+        return Points(_mirrored_points(variables, samples, seed), np.full(samples, 1.0 / samples))
     centres = [np.zeros(variables), *shifts]
     parts = []
     for number, centre in enumerate(centres):
@@ -63,8 +71,14 @@ def points(
 def in_groups(
     names: Sequence[str], least: int, seed: int, shifts: tuple[np.ndarray, ...] = ()
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """At least so many points (samples, names) of independent scramblings, their weights, and the
-    number of the scrambling of each."""
+    """Points (samples, names) of independent scramblings, their weights, and their scramblings.
+
+    Args:
+        names: of the variables.
+        least: smallest number of points.
+        seed: of the scramblings.
+        shifts: centres (variables,) of rare regions (`points`).
+    """
     each = -(-least // (GROUPS * (1 + len(shifts))))
     sets = [points(len(names), each, seed * GROUPS + k, shifts) for k in range(GROUPS)]
     normal = np.concatenate([one.normal for one in sets])
@@ -72,7 +86,7 @@ def in_groups(
     return normal, weights, np.repeat(np.arange(GROUPS), len(normal) // GROUPS)
 
 
-def _matched(variables: int, samples: int, seed: int) -> np.ndarray:
+def _mirrored_points(variables: int, samples: int, seed: int) -> np.ndarray:
     """Points and their mirror images, stretched until their covariance is the unit matrix."""
     half = scrambled_normal(-(-samples // 2), variables, np.random.default_rng([seed, 0]))
     normal = np.concatenate([half, -half])[:samples]
@@ -119,8 +133,13 @@ class Surface(AbstractModel):
 def surface_through(
     problem: Any, values: np.ndarray, responses: np.ndarray
 ) -> tuple[Surface, dict[str, float]]:
-    """The surface through runs, and its leave-one-out R2 [1] of each response. `values` (runs,
-    variables), `responses` (runs, responses)."""
+    """The polynomial surface through runs, and its leave-one-out R2 [1] by response.
+
+    Args:
+        problem: names its responses and variables.
+        values: of the variables, shape (runs, variables).
+        responses: shape (runs, responses).
+    """
     names = problem.response_names
     result = SampleResult(
         dict(zip(names, responses.T, strict=True)),

@@ -70,7 +70,7 @@ class Freedom(eqx.Module):
         """(nominal values, tolerances) of all variables."""
         numbers = {NOMINAL: jnp.asarray(self.start), TOLERANCE: jnp.asarray(self.usual)}
         for i, choice in enumerate(self.choices):
-            value = _between(choice, place[i])
+            value = _number_at(choice, place[i])
             columns = np.array((choice.variable, *choice.others))
             numbers[choice.kind] = numbers[choice.kind].at[columns].set(value)
             if choice.nominals:
@@ -105,7 +105,7 @@ class Freedom(eqx.Module):
         return [float(_place(choice, number)) for number in choice.offered]
 
 
-def _between(choice, place):
+def _number_at(choice, place):
     if choice.kind == NOMINAL:
         return choice.low + place * (choice.high - choice.low)
     return choice.low * jnp.exp(place * np.log(choice.high / choice.low))
@@ -128,8 +128,16 @@ def usual_tolerance(distribution: Any) -> float:
 
 
 def freedom_of(problem: Any, nominal: Any, tolerance: Any, lines: Sequence[Choice]) -> Freedom:
-    """What a user leaves open; `lines` are choices of lines of a drawing. Raises `ValueError` with
-    a sentence for what cannot be."""
+    """The free numbers of a design.
+
+    Args:
+        problem: with the variables.
+        nominal, tolerance: ranges or catalogues by variable; None: fixed.
+        lines: choices of lines of a drawing.
+
+    Raises:
+        ValueError: a name is unknown or given twice, or nothing is left open.
+    """
     names = problem.names
     choices = list(lines)
     chosen = {names[i] for choice in choices for i in (choice.variable, *choice.others)}
@@ -154,8 +162,17 @@ def freedom_of(problem: Any, nominal: Any, tolerance: Any, lines: Sequence[Choic
 
 
 def choice_of(kind: str, name: str, index: int, span: Any) -> Choice:
-    """The free number that a user states by bounds or a catalogue. Raises `ValueError` with a
-    sentence for what is neither."""
+    """A free number, from its range or catalogue.
+
+    Args:
+        kind: nominal value or tolerance.
+        name: of the variable.
+        index: of the variable in the problem.
+        span: (smallest, largest), or one of `jaxclear.catalogue`.
+
+    Raises:
+        ValueError: `span` is neither, or holds impossible numbers.
+    """
     what = f'{kind} of "{name}"'
     if isinstance(span, AbstractCatalogue):
         numbers = span.numbers()
@@ -207,7 +224,13 @@ class Question(eqx.Module):
 
     @eqx.filter_jit
     def samples(self, place: Array, model: AbstractModel, points: Points) -> list[Sample]:
-        """What each limit sees of a candidate by a model."""
+        """Samples of each limited response for a candidate.
+
+        Args:
+            place: the candidate, shape (free,).
+            model: responses of its parts.
+            points: standard normal points of the population.
+        """
         values = self.values(place, points.normal)
         responses = model(values)
         weights = jnp.asarray(points.weights)
@@ -217,12 +240,24 @@ class Question(eqx.Module):
         ]
 
     def excesses(self, place: Array, model: AbstractModel, points: Points) -> Array:
-        """By how much a candidate breaks each limit, (limits,) [1] in multiples of `sizes`."""
+        """By how much a candidate exceeds each limit, in multiples of `sizes` [1], shape (limits,).
+
+        Args:
+            place: the candidate, shape (free,).
+            model: responses of its parts.
+            points: standard normal points of the population.
+        """
         pairs = zip(self.limits, self.samples(place, model, points), strict=True)
         return jnp.stack([limit.excess(sample) for limit, sample in pairs]) / self.sizes
 
     def of(self, limit: AbstractLimit, values: Any, responses: dict) -> Any:
-        """What a limit is about, (samples,): a response, or a variable."""
+        """Values of a limited response or variable, shape (samples,).
+
+        Args:
+            limit: names the response or variable.
+            values: of the variables, shape (samples, variables).
+            responses: by name, shape (samples,).
+        """
         if limit.response in responses:
             return responses[limit.response]
         return values[:, self.freedom.names.index(limit.response)]
@@ -257,12 +292,24 @@ class Question(eqx.Module):
         return jnp.stack([value - reach, value + reach])
 
     def one(self, limit: AbstractLimit, values: Array, model: AbstractModel) -> Scalar:
-        """What a limit is about, for one set of values (variables,)."""
+        """The limited response or variable for one part.
+
+        Args:
+            limit: names the response or variable.
+            values: of the variables, shape (variables,).
+            model: responses of parts.
+        """
         batch = values[None]
         return self.of(limit, batch, model(batch))[0]
 
     def corner(self, limit: AbstractLimit, place: np.ndarray, model: AbstractModel) -> np.ndarray:
-        """Values (variables,) of the worst case of a limit, by the slopes of a model."""
+        """Values (variables,) of the worst case of a limit, by the slopes of a model.
+
+        Args:
+            limit: from above or from below.
+            place: the candidate, shape (free,).
+            model: whose slopes at the nominal values decide the corner.
+        """
         nominal, tolerance = self.freedom.decoded(jnp.asarray(place))
         slope = jax.jacfwd(lambda x: self.one(limit, x, model))(nominal)
         side = 1.0 if limit.upper() else -1.0
@@ -320,7 +367,14 @@ def checked_limits(limits: Any, problem: Any) -> tuple[AbstractLimit, ...]:
 
 
 def sizes_of(question: Question, place: np.ndarray, model: AbstractModel, points: Points) -> Any:
-    """What each limit's excess is measured by, (limits,)."""
+    """Sizes by which the limits' excesses are measured, shape (limits,).
+
+    Args:
+        question: with the limits.
+        place: the candidate, shape (free,).
+        model: responses of its parts.
+        points: standard normal points of the population.
+    """
     samples = question.samples(jnp.asarray(place), model, points)
     pairs = zip(question.limits, samples, strict=True)
     return np.array([float(limit.size(sample)) for limit, sample in pairs])

@@ -178,7 +178,7 @@ class Design(AbstractAnswer):
                 self._crossing(i) for i in np.flatnonzero(~self._satisfied) if i not in self._beyond
             ]
             parts += [f"It is not known to hold, by runs in doubt. {d}" for d in self._in_doubt]
-        parts += [self._priced(i) for i in np.flatnonzero(self.prices > 0)]
+        parts += [self._price_sentence(i) for i in np.flatnonzero(self.prices > 0)]
         if self.failed:
             parts.append(f"{self.failed} of {self.runs} runs failed and are left out.")
         parts += self.endless
@@ -198,7 +198,7 @@ class Design(AbstractAnswer):
         return self.limits[i].unit(units[self.limits[i].response])
 
     def _broken_text(self):
-        broken = [self._broken(i) for i in self._beyond]
+        broken = [self._broken_sentence(i) for i in self._beyond]
         return "; ".join([*broken, self._failure_text()] if self._too_many_failed else broken)
 
     def _crossing(self, i):
@@ -209,7 +209,7 @@ class Design(AbstractAnswer):
             "(DesignSettings(check=...))."
         )
 
-    def _broken(self, i):
+    def _broken_sentence(self, i):
         limit, number = self.limits[i], with_error(float(self.numbers[i]), float(self.errors[i]))
         side, unit = "above" if limit.upper() else "below", self.unit(i).removeprefix("1")
         excess = f"{in_few(abs(float(self.numbers[i] - limit.bound())), 3)} {unit}".rstrip()
@@ -225,7 +225,7 @@ class Design(AbstractAnswer):
             "(limit.WorstCase of a variable)"
         )
 
-    def _priced(self, i):
+    def _price_sentence(self, i):
         limit, price = self.limits[i], self.prices[i]
         small = self.question.sizes[i] < SMALL
         step, named = (1e-9, f"1 n{self.unit(i)}") if small else (1e-6, f"1 µ{self.unit(i)}")
@@ -298,6 +298,12 @@ class Design(AbstractAnswer):
 
 
 def prices_of(question: Question, multipliers: np.ndarray, samples: list) -> np.ndarray:
-    """Cost (limits,) that a unit of each bound would save, from what a unit of excess does."""
+    """Cost that a unit of each bound would save, shape (limits,).
+
+    Args:
+        question: with the limits and their sizes.
+        multipliers: cost saved by an excess of 1 of each limit, shape (limits,).
+        samples: of each limited response.
+    """
     rows = zip(question.limits, multipliers, samples, question.sizes, strict=True)
     return np.array([float(limit.give(x)) * factor / size for limit, factor, x, size in rows])

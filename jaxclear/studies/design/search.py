@@ -117,7 +117,14 @@ class Sought(NamedTuple):
 
 
 def sought(question: Question, runs: Runs, settings: DesignSettings, direct: bool) -> Sought:
-    """The rounds of a design. An interrupt ends it with the rounds so far."""
+    """The rounds of a design; an interrupt ends it with the rounds so far.
+
+    Args:
+        question: cost and limits.
+        runs: counts and stores the problem's runs.
+        settings: of the search.
+        direct: whether the problem itself is optimised, without a surface.
+    """
     seeking = _Seeking(question, runs, settings, direct)
     try:
         seeking.go()
@@ -148,15 +155,15 @@ class _Seeking:
         """Round after round."""
         for number in range(self.settings.rounds):
             if not self.direct:
-                self._fit(number)
-            candidate = self._candidate(number)
+                self._fit_surface(number)
+            candidate = self._find_candidate(number)
             self.place = candidate.place
             # Kept before it is verified: an interrupt may come in between.
-            self.rounds.append(self._round(candidate, None))
+            self.rounds.append(self._make_round(candidate, None))
             infeasible = candidate.broken > self.settings.allowed_excess
-            check = self._checked(number, candidate)
-            self.rounds[-1] = self._round(candidate, check)
-            if self._good(candidate, check):
+            check = self._check_candidate(number, candidate)
+            self.rounds[-1] = self._make_round(candidate, check)
+            if self._is_good(candidate, check):
                 self.ended = "holds"
                 return
             infeasible &= bool(np.any(~(check.excess <= self.settings.allowed_excess)))
@@ -170,30 +177,30 @@ class _Seeking:
             self.shift = np.where(np.isfinite(wrong), wrong, self.shift)
             self.region *= 0.5
 
-    def _round(self, candidate: Candidate, check: Check | None) -> Round:
+    def _make_round(self, candidate: Candidate, check: Check | None) -> Round:
         return Round(candidate, check, self.quality, self.runs.count, self.region)
 
-    def _low_high(self) -> tuple[np.ndarray, np.ndarray]:
+    def _ends_of_region(self) -> tuple[np.ndarray, np.ndarray]:
         """The places that the region holds: a box about the last candidate."""
         low = np.clip(self.place - 0.5 * self.region, 0.0, 1.0 - self.region)
         return low, np.clip(low + self.region, 0.0, 1.0)
 
-    def _fit(self, number: int) -> None:
+    def _fit_surface(self, number: int) -> None:
         """A surface over the region, from the runs that lie in it and as many new ones as it
         wants."""
-        low, high = self._low_high()
-        box = self._box(low, high)
+        low, high = self._ends_of_region()
+        box = self._values_of_region(low, high)
         inside = lambda values: np.all((values >= box[0]) & (values <= box[1]), axis=1)
         variables = len(self.question.freedom.names)
         terms = (variables + 1) * (variables + 2) // 2
         run_count = self.settings.runs or max(RUNS_PER_TERM * terms, 64)
         missing = run_count - int(self.runs.good(inside).sum())
         if missing > 0 or number == 0:
-            self.runs.ask(self._drawn(low, high, max(missing, 1), number), "surface")
+            self.runs.ask(self._draw_parts(low, high, max(missing, 1), number), "surface")
         inner_runs = self.runs.within(inside, self.question.levels)
         self.model, self.quality = surface_through(self.runs.problem, *inner_runs)
 
-    def _drawn(self, low: np.ndarray, high: np.ndarray, count: int, number: int) -> np.ndarray:
+    def _draw_parts(self, low: np.ndarray, high: np.ndarray, count: int, number: int) -> np.ndarray:
         """Parts of designs that fill the region, (count, variables)."""
         size, variables = len(low), len(self.question.freedom.names)
         rng = np.random.default_rng([self.settings.seed, number])
@@ -203,7 +210,7 @@ class _Seeking:
         normal = 3.0 * (2.0 * share[:, size:] - 1.0)
         return np.asarray(self.question.one_each(jnp.asarray(places), jnp.asarray(normal)))
 
-    def _box(self, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _values_of_region(self, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Smallest and largest values (variables,) of parts of designs in the region."""
         size = len(self.question.freedom.names)
         far = np.concatenate([-3.5 * np.ones((1, size)), 3.5 * np.ones((1, size))])
@@ -212,23 +219,23 @@ class _Seeking:
             *(e.max(axis=0) for e in ends)
         )
 
-    def _candidate(self, number: int) -> Candidate:
+    def _find_candidate(self, number: int) -> Candidate:
         """The cheapest of the region, on the catalogues where there are some."""
-        low, high = self._low_high()
+        low, high = self._ends_of_region()
         starts = [self.place]
         if number == 0:
             rng = np.random.default_rng(self.settings.seed)
             starts += list(rng.random((STARTS - 1, len(low))))
-            self._draw(self.place)
+            self._draw_population(self.place)
             sizes = sizes_of(self.question, self.place, self.model, self.points)
             self.question = self.question.measured_by(sizes)
-        best = self._best(starts, self._draw(self.place), low, high)
+        best = self._best(starts, self._draw_population(self.place), low, high)
         if self.drawn_about:
             # Where rare parts lie depends on the design: once more, about those of this one.
-            best = self._best([best.place], self._draw(best.place), low, high)
+            best = self._best([best.place], self._draw_population(best.place), low, high)
         return best
 
-    def _draw(self, place: np.ndarray) -> Points:
+    def _draw_population(self, place: np.ndarray) -> Points:
         """The points of the population, about the rare parts that decide at a place."""
         settings, count = self.settings, len(self.question.freedom.names)
         self.drawn_about = rare_regions(self.question, place, self.model)
@@ -242,7 +249,7 @@ class _Seeking:
             return chosen(search, cheapest_by_steps(search, starts[0]))
         return chosen(search, cheapest(search, starts))
 
-    def _checked(self, number: int, candidate: Candidate) -> Check:
+    def _check_candidate(self, number: int, candidate: Candidate) -> Check:
         """The candidate by new runs; by more where they are less sure than is asked."""
         shifts = rare_regions(self.question, candidate.place, self.model)
         wide = MORE * self.settings.samples
@@ -258,7 +265,7 @@ class _Seeking:
             samples *= MORE
         return check
 
-    def _good(self, candidate: Candidate, check: Check) -> bool:
+    def _is_good(self, candidate: Candidate, check: Check) -> bool:
         """Whether every limit is kept, and what decides is used up."""
         allowed = self.settings.allowed_excess
         holds = check.holds(allowed)
@@ -273,7 +280,13 @@ class _Seeking:
 def rare_regions(
     question: Question, place: np.ndarray, model: AbstractModel
 ) -> tuple[np.ndarray, ...]:
-    """Centres (variables,) of the rare regions of all limits; none where nothing rare decides."""
+    """Centres (variables,) of the rare regions that decide limits; none where nothing rare does.
+
+    Args:
+        question: with the limits.
+        place: the candidate, shape (free,).
+        model: responses of its parts.
+    """
     regions: list[np.ndarray] = []
     for number, limit in enumerate(question.limits):
         share = limit.rarest()

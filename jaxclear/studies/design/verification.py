@@ -9,6 +9,7 @@ sample, and counts how skewed what they contribute is.
 from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -17,7 +18,7 @@ from jaxclear.studies.design.population import GROUPS, AbstractModel, in_groups
 from jaxclear.studies.design.question import Question
 from jaxclear.studies.design.runs import Runs
 from jaxclear.studies.infinite_responses import refuse_infinite, replace_infinite
-from jaxclear.studies.statistics.scrambled import skewed_half
+from jaxclear.studies.statistics.scrambled import half_widths
 from jaxclear.studies.surface.control_variate import corrected_values
 
 # What limits infinite responses, as lives may be.
@@ -56,7 +57,15 @@ class Verifier(NamedTuple):
     def check(
         self, place: np.ndarray, model: AbstractModel, samples: int, seed: int, shifts: tuple
     ) -> Check:
-        """The limits at a place, by at least `samples` new parts; `shifts` as in `points`."""
+        """The limits of a candidate, by runs of new parts.
+
+        Args:
+            place: the candidate, shape (free,).
+            model: surface that the runs correct.
+            samples: smallest number of parts.
+            seed: of the parts.
+            shifts: centres of rare regions (`points`).
+        """
         draw = lambda least: in_groups(self.question.freedom.names, least, seed, shifts)
         normal, weights, group = draw(samples)
         values = np.asarray(self.question.values(jnp.asarray(place), normal))
@@ -66,24 +75,35 @@ class Verifier(NamedTuple):
         shares = _shares(np.where(good, weights, 0.0), group)
         # The same scramblings go on: where runs are, the surface is taken too.
         large = draw(max(self.wide, samples)) if self.wide else None
-        estimates = []
+        estimates, contributions = [], []
         for limit in self.question.limits:
             seen, largest = self._samples(limit, place, model, values, responses, shares, large)
             rows = np.array([_measured(limit, sample) for sample in seen], float)
             # A number that stands for infinite ones is none to be told.
             rows[rows[:, 0] > largest, 0] = np.inf
             estimates.append(rows)
-        return self._make_check(np.array(estimates), values, good, self.runs.warned(before))
+            contributions.append(np.asarray(_contributions(limit, seen[0])))
+        codes = self.runs.warned(before)
+        return self._make_check(np.array(estimates), contributions, values, good, codes)
 
     def _make_check(
-        self, rows: np.ndarray, values: np.ndarray, good: np.ndarray, codes: np.ndarray
+        self,
+        rows: np.ndarray,
+        contributions: list[np.ndarray],
+        values: np.ndarray,
+        good: np.ndarray,
+        codes: np.ndarray,
     ) -> Check:
         """`rows` (limits, 1 + groups, 2): numbers and excesses, of all groups and without each;
-        `values` (runs, variables), of which those did not fail that are `good` (runs,)."""
+        `contributions` of each limit's sample to its excess; `values` (runs, variables), of which
+        those did not fail that are `good` (runs,)."""
         failed = values[~good]
         finite = np.where(np.isfinite(rows), rows, np.nan)
         parts = GROUPS * finite[:, :1] - (GROUPS - 1) * finite[:, 1:]
-        errors = np.apply_along_axis(skewed_half, 1, parts)
+        errors = np.zeros((len(rows), 2))
+        for i, each in enumerate(contributions):
+            # Runs that correct a surface are fewer than the sample that contributes.
+            errors[i] = [max(*half_widths(part), *half_widths(part, each)) for part in parts[i].T]
         # Nothing bounds a number that is infinite without one of the groups.
         errors = np.where(np.isinf(rows[:, 1:]).any(axis=1), np.inf, errors)
         sizes = self.question.sizes
@@ -150,3 +170,10 @@ def _finite(limit: AbstractLimit, values: np.ndarray) -> tuple[np.ndarray, float
 def _measured(limit: AbstractLimit, sample: Sample) -> Any:
     """The limited number and the excess."""
     return limit.number(sample), limit.excess(sample)
+
+
+@eqx.filter_jit
+def _contributions(limit: AbstractLimit, sample: Sample) -> Any:
+    """Contributions (samples,) of parts to the excess."""
+    slope = jax.grad(lambda weights: limit.excess(sample._replace(weights=weights)))(sample.weights)
+    return (slope - jnp.sum(slope * sample.weights)) * sample.weights

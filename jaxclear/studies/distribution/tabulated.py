@@ -60,11 +60,11 @@ def tabulated(frozen: Any, name: str) -> Table:
     spread = float(_call(frozen, "std", "standard_deviation")())
     scores = np.linspace(-LARGEST_SCORE, LARGEST_SCORE, FIRST_INTERVALS + 1)
     for _ in range(MOST_HALVINGS):
-        knots, slopes = _sampled(frozen, scores)
+        knots, slopes = _sample_quantiles(frozen, scores)
         step = np.diff(scores)
         error = np.zeros(len(step))
         for s in PROBES:
-            exact, _ = _sampled(frozen, scores[:-1] + s * step)
+            exact, _ = _sample_quantiles(frozen, scores[:-1] + s * step)
             ends = (step * slopes[:-1], step * slopes[1:])
             missed = np.abs(_hermite(s, knots[:-1], knots[1:], *ends) - exact)
             error = np.maximum(error, missed / np.maximum(spread, np.abs(exact)))
@@ -83,7 +83,7 @@ def tabulated(frozen: Any, name: str) -> Table:
     )
 
 
-def _sampled(frozen: Any, scores: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _sample_quantiles(frozen: Any, scores: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Quantiles at scores, and their slopes by the score."""
     lower = scores <= 0
     with np.errstate(all="ignore"):
@@ -193,7 +193,7 @@ class Empirical(AbstractDistribution):
             )
         self.deviations, self.low, self.high = jnp.asarray(ordered), low, high
 
-    def _within(self) -> Array:
+    def _values_within_ends(self) -> Array:
         """Its values, none beyond its ends."""
         low = -np.inf if self.low is None else self.low
         return xp.clip(self.deviations, low, np.inf if self.high is None else self.high)
@@ -202,7 +202,7 @@ class Empirical(AbstractDistribution):
         return self.of_score(xp.ndtri(share))
 
     def of_score(self, score):
-        inside, count = self._within(), len(self.deviations)
+        inside, count = self._values_within_ends(), len(self.deviations)
         ends = (
             inside[0] if self.low is None else self.low,
             inside[-1] if self.high is None else self.high,
@@ -213,4 +213,4 @@ class Empirical(AbstractDistribution):
         return xp.interp(score, scores, xp.concatenate([ends[0][None], inside, ends[1][None]]))
 
     def deviation(self):
-        return xp.std(self._within())
+        return xp.std(self._values_within_ends())

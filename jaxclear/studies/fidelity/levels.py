@@ -59,8 +59,15 @@ def scatter(numbers: np.ndarray, parts: int) -> np.ndarray:
 
 
 def chosen(moments: list[np.ndarray], costs: np.ndarray, target: np.ndarray, parts: int) -> Chain:
-    """The chain of the least work for means as certain as `target` (responses,), from the moments
-    (samples, moments) of each model in the pilot sample and the cost of a run of each."""
+    """The chain of models of least work for means of a given accuracy.
+
+    Args:
+        moments: of each model in the pilot sample, shape (samples, moments), the accurate one
+            first.
+        costs: of a run of each model.
+        target: accuracy of each mean, shape (responses,).
+        parts: number of scramblings.
+    """
     alone = _one_chain((0,), moments, costs, target, parts)
     cheap = sorted(range(1, len(moments)), key=lambda m: -costs[m])
     best = alone
@@ -77,10 +84,10 @@ def _one_chain(models, moments, costs, target, parts) -> Chain:
     )
     plain = scatter(moments[0], parts) * costs[0]
     chain = Chain(models, weights, 1.0, np.zeros(len(models)))
-    work, _ = _work(chain, moments, costs, parts)
+    work, _ = _chain_work(chain, moments, costs, parts)
     # What a chain does not serve is left to the runs of the accurate problem themselves.
     chain = chain._replace(weights=np.where(work < plain, weights, 0.0))
-    work, need = _work(chain, moments, costs, parts)
+    work, need = _chain_work(chain, moments, costs, parts)
     count = len(target)
     hard = lambda variances: np.max(variances[:count] / target**2)
     most = int(np.argmax(work[:count] / target**2))
@@ -88,7 +95,7 @@ def _one_chain(models, moments, costs, target, parts) -> Chain:
     return chain._replace(gain=float(gain), need=need[:, most])
 
 
-def _work(chain: Chain, moments, costs, parts) -> tuple[np.ndarray, np.ndarray]:
+def _chain_work(chain: Chain, moments, costs, parts) -> tuple[np.ndarray, np.ndarray]:
     """Work for a variance of 1 (moments,), and variances by link (links, moments)."""
     need = []
     for i, model in enumerate(chain.models):
@@ -110,7 +117,14 @@ class Link:
         self.good = self.warned = np.zeros(0, bool)
 
     def add(self, values: np.ndarray, parts: int, question, progress_bar: bool) -> None:
-        """Takes in the samples at values, the scramblings taking turns."""
+        """Runs further samples of this level and adds them.
+
+        Args:
+            values: of the variables, shape (samples, variables); scramblings take turns.
+            parts: number of scramblings.
+            question: names of responses, and how warnings are read.
+            progress_bar: whether one is shown.
+        """
         upper = self.models[0].runs(values, progress_bar)
         upper_runs = model_responses(self.models[0], question.names, upper)
         moments = upper_runs.moments(question.middle)
@@ -165,7 +179,7 @@ class Links:
         while sum(map(taken, range(len(wish)))) > most and max(wish) > FIRST:
             wish[max((i for i, count in enumerate(wish) if count > FIRST), key=taken)] //= 2
         for i, link in enumerate(self.links):
-            self._grow(i, link, wish[i])
+            self._grow_link(i, link, wish[i])
 
     def grow(self, most: float, hardest: Callable[[np.ndarray], int]) -> bool:
         """Doubles the link that tells most of the hardest mean for its cost, of those for which
@@ -179,10 +193,10 @@ class Links:
         var_of = lambda i: self.carried[i, which] ** 2 * self.links[i].means()[:, which].var(ddof=1)
         worth = {i: var_of(i) / (self.links[i].points * self.links[i].cost) for i in able}
         best = max(able, key=lambda i: worth[i])
-        self._grow(best, self.links[best], self.links[best].points)
+        self._grow_link(best, self.links[best], self.links[best].points)
         return True
 
-    def _grow(self, place: int, link: Link, more: int) -> None:
+    def _grow_link(self, place: int, link: Link, more: int) -> None:
         question = self.question
         seed = seed_of(question.seed, place)
         span = link.points * question.parts, (link.points + more) * question.parts

@@ -91,8 +91,16 @@ class Model(NamedTuple):
 
 
 def models_of(problem: Problem, cheaper: Any, samples: int) -> list[Model]:
-    """The accurate problem, and what is cheaper. Raises `ValueError` with a sentence for what does
-    not answer the same question."""
+    """The accurate problem and the cheaper ones as models.
+
+    Args:
+        problem: the accurate one.
+        cheaper: a problem, or several by name.
+        samples: number of samples, which bounds chunks.
+
+    Raises:
+        ValueError: a cheaper problem has other variables, or no common response.
+    """
     mapping = cheaper if isinstance(cheaper, Mapping) else {ALONE: cheaper}
     if not mapping:
         raise ValueError("cheaper is empty; give a cheaper problem, or several by name.")
@@ -132,7 +140,13 @@ class ModelResponses(NamedTuple):
 
 
 def model_responses(model: Model, names: tuple[str, ...], result: Any) -> ModelResponses:
-    """What samples of a model tell of the responses of these names."""
+    """Responses of samples of a model, nan where it lacks them or failed.
+
+    Args:
+        model: that was run.
+        names: of the responses, in the order of the result.
+        result: of the runs.
+    """
     reached, nothing = result.reached_responses(), np.full(len(result.outcome), np.nan)
     refuse_infinite(model.problem, result.responses, "mean or deviation")
     indices = [i for i, name in enumerate(names) if name in model.problem.response_names]

@@ -205,7 +205,7 @@ def _result(question, models, chain: Chain, links: Links, pilot: _Pilot, target)
         means[name] = Statistic(value, float(value - half), float(value + half))
         spread, wide = deviation_of_moments(parts[:, i], parts[:, count + i])
         spreads[name] = Statistic(spread, max(spread - wide, 0.0), spread + wide)
-        gains[name] = _gain(plain[:, :, i], parts[:, i], links)
+        gains[name] = _gain_of_chain(plain[:, :, i], parts[:, i], links)
         if target is not None and not half <= target[i]:
             short[name] = float(half), float(target[i])
     return MultiFidelity(
@@ -215,7 +215,7 @@ def _result(question, models, chain: Chain, links: Links, pilot: _Pilot, target)
         correlations=pilot.correlations(),
         gains=gains,
         used=tuple(models[i].name for i in chain.models),
-        runs=_runs(links),
+        runs=_runs_by_model(links),
         costs={m.name: float(c) for m, c in zip(models[1:], pilot.costs[1:], strict=True)},
         work=float(links.work),
         pilot=float(pilot.work),
@@ -227,13 +227,13 @@ def _result(question, models, chain: Chain, links: Links, pilot: _Pilot, target)
     )
 
 
-def _runs(links: Links) -> tuple[int, ...]:
+def _runs_by_model(links: Links) -> tuple[int, ...]:
     """Runs of each model of the chain, those beside a better one counted in."""
     counts = [links.question.parts * link.points for link in links.links]
     return tuple(n + (counts[i - 1] if i else 0) for i, n in enumerate(counts))
 
 
-def _gain(sizes: np.ndarray, parts: np.ndarray, links: Links) -> float:
+def _gain_of_chain(sizes: np.ndarray, parts: np.ndarray, links: Links) -> float:
     """Work of plain sampling to the same variance, over the work that was."""
     if len(links.links) == 1 or parts.var(ddof=1) == 0:
         return 1.0

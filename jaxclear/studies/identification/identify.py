@@ -187,7 +187,15 @@ def fit(
     statistics: dict[str, Callable],
     seed: int = 0,
 ) -> RegressedStatistics:
-    """The sample as a record's sensors see it, and the unknowns by what they see."""
+    """The sample as a record's sensors see it, and the regression of unknowns on its statistics.
+
+    Args:
+        problem: with the unknowns as variables.
+        record: whose sensors, rate and turns are used.
+        sample: runs over the priors.
+        statistics: functions of a signal, by name.
+        seed: of the sensors' noise.
+    """
     if len(sample.values) < LEAST_RUNS:
         raise ValueError(
             f"{sample.failed} runs of the sample failed and {len(sample.values)} are left, fewer "
@@ -199,7 +207,7 @@ def fit(
     # A machine's law is none of the sample's: those of one are left out together.
     groups = next(iter(sample.choices.values()), None)
     regressed = regression(np.concatenate(list(kinds.values()), axis=1), shares, groups)
-    tellers = _tellers(kinds, shares, problem.names)
+    tellers = _best_statistics(kinds, shares, problem.names)
     return RegressedStatistics(problem, sample, statistics, cut, kinds, regressed, tellers)
 
 
@@ -220,7 +228,7 @@ def answered(context: RegressedStatistics, record: Measurement) -> Identified:
     explained = fitted.distance(here)
     if explained <= STRANGE and not _too_few(len(sample.values)):
         unknowns = unexplained(unknowns)
-    joint = _joint(fitted, here, [unknown.verdict == NOT for unknown in unknowns])
+    joint = _draw_jointly(fitted, here, [unknown.verdict == NOT for unknown in unknowns])
     values = [prior_quantiles(problem, n, joint[:, i]) for i, n in enumerate(problem.names)]
     remarks = (
         *together(problem.names, fitted, [unknown.verdict for unknown in unknowns]),
@@ -242,7 +250,7 @@ def answered(context: RegressedStatistics, record: Measurement) -> Identified:
     )
 
 
-def _tellers(
+def _best_statistics(
     kinds: dict[str, np.ndarray], shares: np.ndarray, names: Sequence[str]
 ) -> dict[str, str]:
     """By unknown the kind of statistics that tells it best by itself."""
@@ -254,7 +262,7 @@ def _tellers(
     return tellers
 
 
-def _joint(fitted: Regression, here: np.ndarray, open_: list[bool]) -> np.ndarray:
+def _draw_jointly(fitted: Regression, here: np.ndarray, open_: list[bool]) -> np.ndarray:
     """Shares (runs, unknowns) that the unknowns may have together: the estimates and what they
     miss, run by run; of unknowns that are not identified, their own."""
     at = np.clip(fitted.estimates(here)[0], 0.0, 1.0)

@@ -37,7 +37,7 @@ FRICTIONS = (Ambrosio, CoulombTanh)
 DISSIPATION, FRICTION = "law of dissipation", "law of friction"
 
 
-def _choice() -> Any:
+def _choice_field() -> Any:
     return quantity(0.0, "1", "number of the law that acts", at_least=0)
 
 
@@ -46,7 +46,7 @@ class ChosenDissipation(AbstractDissipation):
 
     stated: AbstractRestitutionFactor = eqx.field(default_factory=CarvalhoMartins)
     others: tuple[AbstractRestitutionFactor, ...] = ()
-    choice: Scalar = _choice()
+    choice: Scalar = _choice_field()
     remembers_impact_speed = True
 
     @property
@@ -56,7 +56,7 @@ class ChosenDissipation(AbstractDissipation):
     def relative_damping(self, rate, impact_speed):
         laws = (self.stated, *(_with(one, "restitution", self.restitution) for one in self.others))
         factors = [law.factor() for law in laws]
-        return _chosen(factors, self.choice) * rate / impact_speed
+        return _choose_value(factors, self.choice) * rate / impact_speed
 
 
 class ChosenFriction(AbstractSlipFriction):
@@ -65,7 +65,7 @@ class ChosenFriction(AbstractSlipFriction):
 
     stated: AbstractSlipFriction = eqx.field(default_factory=CoulombTanh)
     others: tuple[AbstractSlipFriction, ...] = ()
-    choice: Scalar = _choice()
+    choice: Scalar = _choice_field()
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("_") or name in ("own", "others", "choice"):
@@ -84,7 +84,7 @@ class ChosenFriction(AbstractSlipFriction):
         return jnp.max(jnp.stack([jnp.asarray(slope, float) for slope in slopes]))
 
     def coefficient(self, slip_speed):
-        return _chosen([law.coefficient(slip_speed) for law in self._laws()], self.choice)
+        return _choose_value([law.coefficient(slip_speed) for law in self._laws()], self.choice)
 
 
 def _coefficient(law: Any) -> Any:
@@ -95,7 +95,7 @@ def _with(law: Any, number: str, value: Any) -> Any:
     return eqx.tree_at(lambda tree: getattr(tree, number), law, value)
 
 
-def _chosen(values: list[Any], choice: Any) -> Any:
+def _choose_value(values: list[Any], choice: Any) -> Any:
     selected = values[0]
     for number, value in enumerate(values[1:], 1):
         selected = jnp.where(choice > number - 0.5, value, selected)
@@ -133,8 +133,8 @@ def ensemble(mechanism: Mechanism, laws: Sequence[type] | None) -> Ensemble:
     extended = mechanism
     for name in mechanism.topology.clearances:
         joint = extended.connections[name].joint
-        mix = functools.partial(_mixed, losses=losses, frictions=frictions, names=names)
-        extended = _with_joint(extended, name, jax.tree.map(mix, joint, is_leaf=_is_law))
+        mix = functools.partial(_mix_laws, losses=losses, frictions=frictions, names=names)
+        extended = _replace_joint(extended, name, jax.tree.map(mix, joint, is_leaf=_is_law))
     kinds = {DISSIPATION: _dissipation_choices, FRICTION: _friction_choices}
     variables: dict[str, AbstractMechanismVariable] = {
         what: Variable(where, Discrete(deviations=tuple(map(float, range(len(names[what]))))))
@@ -144,7 +144,7 @@ def ensemble(mechanism: Mechanism, laws: Sequence[type] | None) -> Ensemble:
     return Ensemble(extended, variables, {what: names[what] for what in variables})
 
 
-def _with_joint(mechanism: Mechanism, name: str, joint: Any) -> Mechanism:
+def _replace_joint(mechanism: Mechanism, name: str, joint: Any) -> Mechanism:
     return eqx.tree_at(lambda tree: tree.connections[name].joint, mechanism, joint)
 
 
@@ -152,42 +152,42 @@ def _is_law(part: Any) -> bool:
     return isinstance(part, (AbstractRestitutionFactor, AbstractSlipFriction))
 
 
-def _mixed(part: Any, losses: list, frictions: list, names: dict[str, tuple[str, ...]]) -> Any:
+def _mix_laws(part: Any, losses: list, frictions: list, names: dict[str, tuple[str, ...]]) -> Any:
     """A law with its alternatives, or a part as it is."""
     if isinstance(part, AbstractRestitutionFactor):
-        kinds = _others(part, losses)
+        kinds = _other_laws(part, losses)
         if kinds:
             with warnings.catch_warnings():
                 # That a factor misses its restitution is part of what is not known.
                 warnings.simplefilter("ignore")
                 others = tuple(kind(restitution=part.restitution) for kind in kinds)
-            names.setdefault(DISSIPATION, _named(part, kinds))
+            names.setdefault(DISSIPATION, _law_names(part, kinds))
             return ChosenDissipation(part, others)
     if isinstance(part, AbstractSlipFriction):
-        kinds = _others(part, frictions)
-        if kinds and "mu_kinetic" in _numbers(type(part)):
-            others = tuple(_friction(kind, part) for kind in kinds)
-            names.setdefault(FRICTION, _named(part, kinds))
+        kinds = _other_laws(part, frictions)
+        if kinds and "mu_kinetic" in _number_names(type(part)):
+            others = tuple(_friction_like(kind, part) for kind in kinds)
+            names.setdefault(FRICTION, _law_names(part, kinds))
             return ChosenFriction(part, others)
     return part
 
 
-def _others(law: Any, kinds: list) -> list:
+def _other_laws(law: Any, kinds: list) -> list:
     """Those beside the own one; of the usual ones so many that there are as many with it."""
     others = [kind for kind in kinds if kind is not type(law)]
     usual = kinds in (list(DISSIPATIONS), list(FRICTIONS))
     return others[: len(kinds) - 1] if usual else others
 
 
-def _named(law: Any, kinds: list) -> tuple[str, ...]:
+def _law_names(law: Any, kinds: list) -> tuple[str, ...]:
     return tuple(kind.__name__ for kind in (type(law), *kinds))
 
 
-def _numbers(kind: type) -> set[str]:
+def _number_names(kind: type) -> set[str]:
     return {field.name for field in dataclasses.fields(kind)}
 
 
-def _friction(kind: type, law: Any) -> Any:
+def _friction_like(kind: type, law: Any) -> Any:
     """A law with the kinetic coefficient of another, and as steep where it says how steep."""
     slope = float(law.largest_slope(0.0))
     coefficient = float(law.mu_kinetic)
@@ -203,14 +203,14 @@ def _friction(kind: type, law: Any) -> Any:
     return kind(mu_kinetic=coefficient)
 
 
-def _choices(mechanism: Any, kind: Any) -> list[Any]:
+def _list_choices(mechanism: Any, kind: Any) -> list[Any]:
     leaves = jax.tree.leaves(mechanism, is_leaf=lambda part: isinstance(part, kind))
     return [part.choice for part in leaves if isinstance(part, kind)]
 
 
 def _dissipation_choices(mechanism: Any) -> list[Any]:
-    return _choices(mechanism, ChosenDissipation)
+    return _list_choices(mechanism, ChosenDissipation)
 
 
 def _friction_choices(mechanism: Any) -> list[Any]:
-    return _choices(mechanism, ChosenFriction)
+    return _list_choices(mechanism, ChosenFriction)

@@ -53,7 +53,7 @@ class Optimum(NamedTuple):
 
 
 @eqx.filter_jit
-def _solved(forward: Forward, starts: Array, measured: Array, scale: Array, mask: Array):
+def _solve_from_starts(forward: Forward, starts: Array, measured: Array, scale: Array, mask: Array):
     inputs = forward.problem.inputs
 
     def residual(normal, _):
@@ -80,8 +80,13 @@ def _residuals_and_slopes(forward: Forward, normals: Array, measured: Array):
 
 
 def starts_of(count: int, variables: int, seed: int) -> np.ndarray:
-    """Normal numbers (count, variables) to start from: the nominal ones, and some spread evenly
-    over the middle of the prior."""
+    """Standard normal numbers (count, variables) at which searches begin, the nominal ones first.
+
+    Args:
+        count: number of starts.
+        variables: number of unknowns.
+        seed: of the others, spread over the middle of the prior.
+    """
     drawn = normal_scores(
         ScrambledSequence(variables, np.random.default_rng(seed)).points(0, count)
     )
@@ -97,16 +102,21 @@ def optima(
     scale: Float[np.ndarray, " n"],
     windows: int = 1,
 ) -> tuple[list[Optimum], int]:
-    """Where the searches end that are finite, the nearest to the record first, each place once, and
-    how many runs with derivatives they took.
-    `scale`: standard deviation of each sample of the record, in its unit; `windows`: how often the
-    window doubles until it holds the whole record."""
+    """Distinct finite ends of the searches, nearest to the record first, and the number of runs.
+
+    Args:
+        forward: signals of the unknowns, with derivatives.
+        record: to be fitted.
+        starts: standard normal numbers at which searches begin.
+        scale: standard deviation of each sample of the record, in its unit.
+        windows: how often the window doubles until it holds the whole record.
+    """
     measured, normals = record.row, np.asarray(starts)
     ended, runs = np.zeros(len(normals), bool), len(normals)
     for window in range(windows):
-        mask = _window(record, 0.5 ** (windows - 1 - window))
+        mask = _window_mask(record, 0.5 ** (windows - 1 - window))
         arguments = map(jnp.asarray, (normals, measured, scale, mask))
-        solutions, ended, steps = _solved(forward, *arguments)
+        solutions, ended, steps = _solve_from_starts(forward, *arguments)
         runs += int(np.sum(steps))
         normals = np.where(np.isfinite(solutions), solutions, normals)
     residuals, slopes = map(
@@ -138,7 +148,7 @@ def _optimum(normal, residual, slopes, ended, scale) -> Optimum:
     return optimum._replace(converged=bool(ended or step <= LARGEST_STEP))
 
 
-def _window(record: Record, share: float) -> np.ndarray:
+def _window_mask(record: Record, share: float) -> np.ndarray:
     """1 for the samples (n,) in the first `share` [1] of each signal, 0 for the others."""
     masks = [np.arange(len(s)) < np.ceil(share * len(s)) for s in record.signals.values()]
     return np.concatenate(masks).astype(float)

@@ -114,10 +114,10 @@ def compared(problem: Problem, record: Measurement) -> tuple[Forward, Record]:
             )
     noise = {name: float(sensor.noise) or None for name, sensor in record.sensors.items()}
     row = Record(record.signals, noise)
-    return _forward(problem, record), row
+    return _make_forward(problem, record), row
 
 
-def _forward(problem: Problem, record: Measurement) -> Forward:
+def _make_forward(problem: Problem, record: Measurement) -> Forward:
     names, sensors = tuple(record.signals), dict(record.sensors)
     rate = jnp.asarray(record.rate)
     if isinstance(problem.experiment, FunctionExperiment):
@@ -148,7 +148,7 @@ class _OfFunction(eqx.Module):
     def __call__(self, problem: Problem, values: Array) -> dict[str, Array]:
         """Those of one set of values."""
         outputs = problem.answers(problem.setting(values))
-        return {n: _sensed(sensor, outputs, self.rate) for n, sensor in self.sensors.items()}
+        return {n: _read_sensor(sensor, outputs, self.rate) for n, sensor in self.sensors.items()}
 
 
 class _OfRun(eqx.Module):
@@ -162,8 +162,8 @@ class _OfRun(eqx.Module):
         """Those of one set of values; nan where the run did not reach its end."""
         run = problem.started(problem.setting(values))[2]
         last = lambda signal: jnp.where(run.succeeded, signal, jnp.nan)[self.window]
-        return {n: last(_sensed(sensor, run, self.rate)) for n, sensor in self.sensors.items()}
+        return {n: last(_read_sensor(sensor, run, self.rate)) for n, sensor in self.sensors.items()}
 
 
-def _sensed(sensor: Any, run: Any, rate: Array) -> Array:
+def _read_sensor(sensor: Any, run: Any, rate: Array) -> Array:
     return filter_signal(sensor(run), rate, sensor.bandwidth, sensor.delay, sensor.gain)

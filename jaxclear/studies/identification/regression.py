@@ -150,17 +150,22 @@ class Regression(NamedTuple):
 def regression(
     statistics: np.ndarray, unknowns: np.ndarray, groups: np.ndarray | None = None
 ) -> Regression:
-    """The regression of `unknowns` (runs, unknowns), shares of their priors, on `statistics` (runs,
-    statistics) of a sample. `groups` (runs,): numbers of those that are left out together (None:
-    each alone)."""
+    """Kernel ridge regression of unknowns on statistics of a sample.
+
+    Args:
+        statistics: shape (runs, statistics).
+        unknowns: shares of their priors [1], shape (runs, unknowns).
+        groups: number of the group of each run; a group is left out as a whole. None: each run
+            alone.
+    """
     whiten = whitened(statistics)
     parts = whiten(statistics)
-    surfaces = _surfaces(parts, unknowns, LENGTHS, groups)
+    surfaces = _fit_surfaces(parts, unknowns, LENGTHS, groups)
     relative = np.stack([s.residuals / np.maximum(s.spreads(), TINY) for s in surfaces], 1)
-    return Regression(whiten, parts, unknowns, surfaces, relative, _folds(statistics))
+    return Regression(whiten, parts, unknowns, surfaces, relative, _split_folds(statistics))
 
 
-def _folds(statistics: np.ndarray) -> tuple[Fold, ...]:
+def _split_folds(statistics: np.ndarray) -> tuple[Fold, ...]:
     folds = []
     for number in range(FOLDS):
         mask = np.arange(len(statistics)) % FOLDS == number
@@ -173,11 +178,11 @@ def _folds(statistics: np.ndarray) -> tuple[Fold, ...]:
 def residuals_alone(statistics: np.ndarray, unknowns: np.ndarray) -> np.ndarray:
     """Root mean square (unknowns,) of what some statistics alone miss of runs that are left out,
     beside the prior's deviation [1]."""
-    surfaces = _surfaces(whitened(statistics)(statistics), unknowns, ONE_LENGTH)
+    surfaces = _fit_surfaces(whitened(statistics)(statistics), unknowns, ONE_LENGTH)
     return np.array([np.sqrt(12 * np.mean(surface.residuals**2)) for surface in surfaces])
 
 
-def _surfaces(
+def _fit_surfaces(
     parts: np.ndarray,
     unknowns: np.ndarray,
     lengths: tuple[float, ...],
@@ -252,7 +257,13 @@ class Prediction(NamedTuple):
 
 
 def predict(fitted: Regression, statistics: np.ndarray, level: float = 0.95) -> list[Prediction]:
-    """What the statistics (statistics,) of a record say of each unknown."""
+    """Estimate and interval of each unknown from the statistics of a record.
+
+    Args:
+        fitted: regression on a sample.
+        statistics: of the record, shape (statistics,).
+        level: confidence of the intervals [1].
+    """
     # One beyond an end of the prior stands at the end, with an interval of its usual width.
     estimates = np.clip(fitted.estimates(statistics)[0], 0.0, 1.0)
     intervals = []

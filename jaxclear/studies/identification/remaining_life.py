@@ -123,8 +123,8 @@ def remaining_life(
     order = sorted(fits)
     rows = [fits[cycles][name] for cycles in order]
     values = np.array([unknown.estimate for unknown in rows])
-    deviations = np.array([_deviation(fits[cycles], name) for cycles in order])
-    rate, failure, misfit = _lines(np.array(order, float), values, deviations, limit, seed)
+    deviations = np.array([_deviation_of(fits[cycles], name) for cycles in order])
+    rate, failure, misfit = _draw_lines(np.array(order, float), values, deviations, limit, seed)
     warnings = []
     chi2 = float(scipy.stats.chi2.isf(DOUBTED, max(len(order) - 2, 1)))
     if len(order) > 2 and misfit > chi2:
@@ -139,7 +139,7 @@ def remaining_life(
     return RemainingLife(name, rows[0].unit, float(limit), float(level), *fields, tuple(warnings))
 
 
-def _deviation(identified: Identified, name: str) -> float:
+def _deviation_of(identified: Identified, name: str) -> float:
     if name in identified.problem.names:
         samples = identified.posterior_values[:, identified.problem.names.index(name)]
         return float(samples.std())
@@ -147,7 +147,7 @@ def _deviation(identified: Identified, name: str) -> float:
     return (row.high - row.low) / 3.92
 
 
-def _lines(
+def _draw_lines(
     cycles: np.ndarray, values: np.ndarray, deviations: np.ndarray, limit: float, seed: int
 ) -> tuple[np.ndarray, np.ndarray, float]:
     """Slopes and cycles of failure of lines that rise, drawn from what weighted least squares

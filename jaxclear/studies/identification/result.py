@@ -74,8 +74,16 @@ class Unknown(NamedTuple):
 
 
 def unknown_of(problem: Problem, name: str, shares: Any, method: str = "") -> Unknown:
-    """What is known of an unknown whose interval is `shares`, (estimate, low, high) of its prior
-    [1]. An interval wider than 0.8 of the prior's is the prior's."""
+    """An unknown with its interval and verdict.
+
+    An interval wider than 0.8 of the prior's is replaced by the prior's.
+
+    Args:
+        problem: with the unknown as variable.
+        name: of the variable.
+        shares: estimate, lower and upper end as shares of the prior [1].
+        method: by which it was estimated.
+    """
     values = prior_quantiles(problem, name, np.array([*shares, *NOTHING]))
     estimate, low, high, middle, prior_low, prior_high = map(float, values)
     width = (high - low) / (prior_high - prior_low)
@@ -95,8 +103,14 @@ def verdict_of(width: float) -> str:
 
 
 def end_reached(problem: Problem, name: str, low: float, high: float, prior: float) -> float | None:
-    """The end of an unknown's distribution at which its interval ends, beyond which it may lie as
-    well; None where it ends at neither. `prior`: width of the prior's interval."""
+    """The end of an unknown's distribution at which its interval ends; None for neither.
+
+    Args:
+        problem: with the unknown as variable.
+        name: of the variable.
+        low, high: ends of the interval, in the variable's unit.
+        prior: width of the prior's interval.
+    """
     ends = prior_quantiles(problem, name, np.array([0.0, 1.0]))
     pairs = zip(ends, (low, high), strict=True)
     return next((float(end) for end, bound in pairs if abs(end - bound) < AT_END * prior), None)
@@ -123,7 +137,13 @@ def unexplained(unknowns: Sequence[Unknown]) -> tuple[Unknown, ...]:
 
 
 def prior_quantiles(problem: Problem, name: str, shares: np.ndarray) -> np.ndarray:
-    """Values of an unknown below which these shares of its prior lie."""
+    """Values of an unknown below which shares of its prior lie.
+
+    Args:
+        problem: with the unknown as variable.
+        name: of the variable.
+        shares: [1].
+    """
     nominal = float(problem.nominal()[problem.names.index(name)])
     within = jnp.asarray(np.clip(shares, LEAST_SHARE, 1 - LEAST_SHARE))
     return nominal + np.asarray(problem.marginals[name].quantile(within))
@@ -210,6 +230,9 @@ class Identified(AbstractAnswer):
         sentences = [quantity.sentence() for quantity in (*self.unknowns, *self.answers)]
         failures = f" {self.failed} more failed." if self.failed else ""
         sentences.append(f"From {self.runs} runs, {self.how}.{failures}")
+        if self.explains:
+            share = f"{100 * (self.explained or 0.0):.2g} %"
+            sentences.append(f"The record is like the runs: {share} of them lie as far off as it.")
         return " ".join([*sentences, *self.remarks])
 
     def _stated(self):
@@ -251,8 +274,13 @@ class Identified(AbstractAnswer):
 
 
 def posterior_of(problem: Problem, values: np.ndarray, duration: float | None = None) -> Problem:
-    """The problem with variables that follow a sample of `values` (samples, variables), its runs of
-    a `duration` [s]."""
+    """The problem with variables that follow a posterior sample.
+
+    Args:
+        problem: with the priors.
+        values: posterior sample, shape (samples, variables).
+        duration: of its runs [s]; None: unchanged.
+    """
     if duration is not None:
         check_number("duration of a posterior", duration, "s", above=0)
     middle = np.median(values, axis=0)
@@ -306,7 +334,13 @@ def score_correlation(values: np.ndarray) -> np.ndarray | None:
 
 
 def together(names: Sequence[str], fitted: Regression, verdicts: Sequence[str]) -> tuple[str, ...]:
-    """A sentence for each combination of unknowns that is told better than any of them."""
+    """Sentences for combinations of unknowns that are identified better than each alone.
+
+    Args:
+        names: of the unknowns.
+        fitted: regression, whose residuals are correlated.
+        verdicts: of the unknowns.
+    """
     scatter = fitted.scatter
     open_ = [k for k, verdict in enumerate(verdicts) if verdict != IDENTIFIED]
     if len(open_) < 2 or not np.all(np.isfinite(fitted.residuals)):

@@ -46,8 +46,13 @@ class Sample(NamedTuple):
 
 
 def watched(problem: Problem, record: Measurement, laws: Ensemble) -> Problem:
-    """The problem whose responses are the signals of a record's sensors, without noise, saved as
-    often as the record; up to its end."""
+    """The problem whose responses are the noiseless signals of a record's sensors.
+
+    Args:
+        problem: with the unknowns as variables.
+        record: with sensors and rate.
+        laws: alternatives of the laws, drawn as further variables.
+    """
     intervals = round(float(problem.duration) * record.rate)
     variables = {name: problem.variables[name] for name in problem.names} | laws.variables
     correlation = None
@@ -55,10 +60,10 @@ def watched(problem: Problem, record: Measurement, laws: Ensemble) -> Problem:
         count = len(problem.names)
         correlation = np.eye(len(variables))
         correlation[:count, :count] = np.asarray(problem.correlation)
-    sensors = {_response(name): sensor.ideal() for name, sensor in record.sensors.items()}
+    sensors = {_response_name(name): sensor.ideal() for name, sensor in record.sensors.items()}
     watched_problem = Problem(
         laws.mechanism,
-        dict.fromkeys(sensors, _end_of),
+        dict.fromkeys(sensors, _end_time),
         variables,
         duration=intervals / record.rate,
         integrator=problem.integrator,
@@ -70,11 +75,11 @@ def watched(problem: Problem, record: Measurement, laws: Ensemble) -> Problem:
     return eqx.tree_at(lambda tree: tree.response, watched_problem, sensors)
 
 
-def _end_of(run: Any) -> Any:
+def _end_time(run: Any) -> Any:
     return run.time[-1]
 
 
-def _response(name: str) -> str:
+def _response_name(name: str) -> str:
     return f"signal {name}"
 
 
@@ -159,8 +164,17 @@ def sampled(
     seed: int = 0,
     progress_bar: bool = False,
 ) -> Sample:
-    """Runs of the problem over its priors; `base_problem`: what `watched` makes of it with the laws
-    `ensemble`."""
+    """Runs of the problem over its priors, as signals.
+
+    Args:
+        problem: with the unknowns as variables.
+        record: with the sensors.
+        base_problem: the problem that is run (`watched`).
+        ensemble: alternatives of the laws.
+        runs: number of runs.
+        seed: of the sample.
+        progress_bar: whether one is shown.
+    """
     drawing = Drawing(base_problem, seed, "sobol", usual_scramblings(runs))
     values = drawing.span(0, runs)
     chunk = chunk_size(base_problem, runs)
@@ -172,7 +186,7 @@ def sampled(
         label="identify",
         function=_signals_of_chunk,
     )
-    signals = {name: np.asarray(results.responses[_response(name)]) for name in record.sensors}
+    signals = {name: np.asarray(results.responses[_response_name(name)]) for name in record.sensors}
     good = np.asarray(results.outcome) == Outcome.REACHED
     for signal in signals.values():
         good &= np.all(np.isfinite(signal), axis=1)
@@ -224,7 +238,13 @@ def _matching_part(problem: Problem, signals: np.ndarray, record: Measurement) -
 
 
 def as_signals(signals: dict[str, np.ndarray], record: Measurement, cut: Cut) -> dict[str, Signal]:
-    """Signals (runs, samples) as statistics take them; the encoder's own is none."""
+    """Signals as statistics take them, without that of the encoder.
+
+    Args:
+        signals: by sensor, shape (runs, samples).
+        record: with rate, and encoder or period of turns.
+        cut: number of turns, and samples in each.
+    """
     result = {}
     for name, signal in signals.items():
         if name == record.turn:
@@ -241,8 +261,15 @@ def as_signals(signals: dict[str, np.ndarray], record: Measurement, cut: Cut) ->
 
 
 def sensed(sample: Sample, record: Measurement, seed: int) -> dict[str, np.ndarray]:
-    """What the record's sensors would show of each run, over the time of the record. The angle that
-    tells turns is taken as it is."""
+    """Readings of the record's sensors for each run, over the time of the record.
+
+    The angle that indicates turns is taken without noise.
+
+    Args:
+        sample: noiseless signals of the runs.
+        record: with the sensors.
+        seed: of their noise.
+    """
     rng = np.random.default_rng((seed, 1))
     result = {}
     for name, signal in sample.signals.items():

@@ -49,7 +49,14 @@ def identify_by_signals(
     draws: int,
     seed: int,
 ) -> Identified:
-    """What records tell by their signals of each model's unknowns; `draws` of what follows."""
+    """What records tell by their signals of the unknowns of each model.
+
+    Args:
+        models: for each name a problem for each record.
+        records: measured signals.
+        draws: runs that sample what follows for the responses.
+        seed: of all random numbers.
+    """
     pairs = {
         name: [compared(problem, record) for problem, record in zip(problems, records, strict=True)]
         for name, problems in models.items()
@@ -65,7 +72,13 @@ def identify_by_signals(
 
 
 def of_signals(models: Mapping[str, Sequence[Problem]], study: SignalFits, seed: int) -> Identified:
-    """The answer of models and records."""
+    """The answer from fits of all models to all records.
+
+    Args:
+        models: for each name a problem for each record.
+        study: fits and the models that were chosen.
+        seed: of the posterior sample.
+    """
     records = len(next(iter(study.fits.values())))
     runs = sum(fit.runs for fits in study.fits.values() for fit in fits)
     how = "by the signals themselves" + (f" of {records} records" if records >= FEWEST else "")
@@ -122,7 +135,9 @@ def _values(problem: Problem, study: SignalFits, rng: np.random.Generator) -> np
             drawn = rng.permutation(fits[0].values)[:each]
         else:
             nexts = [study.between[model][name] for name in fitted_names]
-            drawn = next_values(nexts, _correlation(fits), each, rng)
+            # Of what records tell of each unknown, in the mean.
+            alike = np.mean([np.atleast_2d(np.corrcoef(fit.values.T)) for fit in fits], axis=0)
+            drawn = next_values(nexts, alike, each, rng)
         of_model[model] = dict(zip(fitted_names, drawn.T, strict=True))
     values = np.stack([of_model[models[0]][name] for name in names], axis=1)
     for number, model in enumerate(models[1:], 1):
@@ -137,17 +152,19 @@ def _values(problem: Problem, study: SignalFits, rng: np.random.Generator) -> np
 def next_values(
     estimates: Sequence[NextRecord], correlation: np.ndarray, count: int, rng: np.random.Generator
 ) -> np.ndarray:
-    """Values (count, unknowns) in records yet to come, correlated as what each record tells."""
+    """Values (count, unknowns) in future records, by Student's distribution.
+
+    Args:
+        estimates: of each unknown in the next record.
+        correlation: of the unknowns within a record.
+        count: number of values.
+        rng: random generator.
+    """
     freedom = estimates[0].freedom
     normal = rng.multivariate_normal(np.zeros(len(estimates)), correlation, count)
     heavy = np.sqrt(freedom / rng.chisquare(freedom, (count, 1)))
     scale, middle = [e.scale for e in estimates], [e.value for e in estimates]
     return np.array(middle) + np.array(scale) * heavy * normal
-
-
-def _correlation(fits: Sequence[SignalFit]) -> np.ndarray:
-    """Mean correlation (unknowns, unknowns) of what records tell of each unknown."""
-    return np.mean([np.atleast_2d(np.corrcoef(fit.values.T)) for fit in fits], axis=0)
 
 
 def _misfits(study: SignalFits, first: str) -> list[str]:
@@ -209,7 +226,13 @@ def _drift(study: SignalFits) -> list[str]:
 
 
 def of_records(problem: Any, every: Sequence[Identified], seed: int) -> Identified:
-    """One answer from what several records tell by statistics, of the next record."""
+    """One answer, for the next record, from those of several records by statistics.
+
+    Args:
+        problem: with the unknowns as variables.
+        every: answer of each record.
+        seed: of the posterior sample.
+    """
     nexts, unknowns = [], []
     for i, name in enumerate(problem.names):
         estimates = []

@@ -108,28 +108,37 @@ def fit_signal(
 ) -> SignalFit:
     """The posterior of a problem's unknowns given a record of its signals.
 
-    `starts`: places that searches begin at, the nominal values among them; `windows`: how often
-    each search's window doubles until it holds the record; `draws`: runs that say what follows of
-    the responses. Where no search ends at an optimum, or where a known noise does not explain what
-    is left, `refusal` says so in a sentence, and there are no intervals. Raises `ValueError` where
-    signals and problem do not fit together."""
+    Where no search ends at an optimum, or a known noise does not explain the residual, there are no
+    intervals and `refusal` says why.
+
+    Args:
+        forward: signals of the unknowns, with derivatives.
+        record: to be fitted.
+        starts: number of searches, the nominal values among their starts.
+        windows: how often each search's window doubles until it holds the record.
+        draws: runs that sample what follows for the responses.
+        seed: of starts and draws.
+
+    Raises:
+        ValueError: signals and problem do not fit together.
+    """
     check_signals(forward, record)
     begin = starts_of(starts, len(forward.problem.names), seed)
     scale = _first_scale(record)
     candidates, runs = optima(forward, record, begin, scale, windows)
     if not candidates:
-        return _refused(forward, record, None, runs, _NOT_FINITE)
+        return _make_refused_fit(forward, record, None, runs, _NOT_FINITE)
     # What the nearest leaves tells how much each sample is worth; then once more from there.
-    scale = _scale(record, _misfits(record, candidates[0]))
+    scale = _weigh_samples(record, _measure_misfits(record, candidates[0]))
     # As many rows as before run the same program.
     again = np.resize([optimum.normal for optimum in candidates[:MOST_CENTRES]], begin.shape)
     repeated, more = optima(forward, record, again, scale)
     candidates, runs = repeated or candidates[:MOST_CENTRES], runs + more
     best = candidates[0]
-    misfits = _misfits(record, best)
-    refusal = _refusal(best, misfits)
+    misfits = _measure_misfits(record, best)
+    refusal = _why_refused(best, misfits)
     if refusal:
-        return _refused(forward, record, best, runs, refusal)
+        return _make_refused_fit(forward, record, best, runs, refusal)
     return _make_fit(forward, record, candidates, misfits, runs, draws, seed)
 
 
@@ -163,7 +172,7 @@ def _first_scale(record: Record) -> np.ndarray:
     return np.concatenate(scales)
 
 
-def _misfits(record: Record, best: Optimum) -> dict[str, Misfit]:
+def _measure_misfits(record: Record, best: Optimum) -> dict[str, Misfit]:
     misfits = {}
     for name, part in zip(record.names, record.parts, strict=True):
         residual, noise = best.residual[part], record.noise.get(name)
@@ -184,7 +193,7 @@ def _size(signal: np.ndarray) -> float:
     return float(np.std(signal) or np.max(np.abs(signal)) or 1.0)
 
 
-def _scale(record: Record, misfits: dict[str, Misfit]) -> np.ndarray:
+def _weigh_samples(record: Record, misfits: dict[str, Misfit]) -> np.ndarray:
     """Standard deviation with which each sample counts: larger where neighbours say the same."""
     scales = []
     for name, signal in record.signals.items():
@@ -194,7 +203,7 @@ def _scale(record: Record, misfits: dict[str, Misfit]) -> np.ndarray:
     return np.concatenate(scales)
 
 
-def _refusal(best: Optimum, misfits: dict[str, Misfit]) -> str:
+def _why_refused(best: Optimum, misfits: dict[str, Misfit]) -> str:
     """Why no interval is told; "" where nothing is against it."""
     for name, fit in misfits.items():
         if not fit.explained:
@@ -222,24 +231,24 @@ def _refusal(best: Optimum, misfits: dict[str, Misfit]) -> str:
     return ""
 
 
-def _refused(
+def _make_refused_fit(
     forward: Forward, record: Record, best: Optimum | None, runs: int, why: str
 ) -> SignalFit:
     names = forward.problem.names
     values, misfits = np.full(len(names), np.nan), dict[str, Misfit]()
     if best is not None:
         values = np.asarray(forward.problem.inputs.values(best.normal))
-        misfits = _misfits(record, best)
+        misfits = _measure_misfits(record, best)
     return SignalFit(values, misfits, np.zeros((0, len(names))), {}, {}, {}, runs, why)
 
 
-def _laplace(
+def _draw_laplace(
     optima: list[Optimum], record: Record, misfits: dict[str, Misfit], rng: np.random.Generator
 ) -> np.ndarray:
     """Normal numbers (DRAWS, variables) of the posterior: normal about each optimum, by its
     curvature, each as often as its density and its size make it likely. Of a noise that is not
     known, by Student's t of as many samples as the records are worth."""
-    scale = _scale(record, misfits)
+    scale = _weigh_samples(record, misfits)
     matrices = [np.linalg.inv(optimum.information(scale)) for optimum in optima]
     sizes = [0.5 * np.linalg.slogdet(matrix)[1] for matrix in matrices]
     likely = scipy.special.softmax(sizes - np.array([optimum.cost for optimum in optima]))
@@ -267,7 +276,7 @@ def _make_fit(
 ) -> SignalFit:
     """Intervals about the optima."""
     problem, rng = forward.problem, np.random.default_rng(seed)
-    normal = _laplace(optima, record, misfits, rng)
+    normal = _draw_laplace(optima, record, misfits, rng)
     values, scores = (
         np.asarray(convert(normal)) for convert in (problem.inputs.values, problem.inputs.scores)
     )

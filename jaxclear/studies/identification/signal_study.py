@@ -49,8 +49,12 @@ def fit_signals(
     draws: int = 512,
     seed: int = 0,
 ) -> SignalFits:
-    """What records of a machine tell of the unknowns of its `models`, {name: one for each record,
-    beside it}; the rest as in `fit_signal`."""
+    """Fits of all models of a machine to all records, and intervals for the next record.
+
+    Args:
+        models: for each name a (forward model, record) for each record.
+        starts, windows, draws, seed: as of `fit_signal`.
+    """
     how = {"starts": starts, "windows": windows, "draws": draws, "seed": seed}
     fits = {
         name: tuple(fit_signal(model, record, **how) for model, record in every)
@@ -68,8 +72,8 @@ def fit_signals(
         answers[name] = {key: intervals[key] for key in chosen[0].answers}
         if len(chosen) >= FEWEST:
             between[name] = {key: next_record([each[key] for each in rows]) for key in rows[0]}
-    shared, rest = _shared(unknowns)
-    return SignalFits(fits, retained, shared, _shared(answers)[0], rest, between)
+    shared, rest = _join_models(unknowns)
+    return SignalFits(fits, retained, shared, _join_models(answers)[0], rest, between)
 
 
 def _within(problem: Problem, name: str, interval: CredibleInterval) -> CredibleInterval:
@@ -80,7 +84,7 @@ def _within(problem: Problem, name: str, interval: CredibleInterval) -> Credible
     return interval._replace(low=max(interval.low, low), high=min(interval.high, high))
 
 
-def _shared(
+def _join_models(
     every: dict[str, dict[str, CredibleInterval]],
 ) -> tuple[dict[str, CredibleInterval], dict[str, dict[str, CredibleInterval]]]:
     """What all models tell of, together; and what only some do, by model."""

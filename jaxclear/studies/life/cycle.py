@@ -118,7 +118,7 @@ def cycle_request(problem: Problem, values: Any) -> Request:
     )
 
 
-def _cycle(request: Request, begin: SavedMotion, worn: Worn) -> tuple[Cycle, Trajectory]:
+def _simulate_cycle(request: Request, begin: SavedMotion, worn: Worn) -> tuple[Cycle, Trajectory]:
     """A cycle and its run."""
     times, past = begin.time + request.times, Past(worn, begin.remembered)
     motion = begin.coordinates, begin.speeds
@@ -143,11 +143,17 @@ def _cycle(request: Request, begin: SavedMotion, worn: Worn) -> tuple[Cycle, Tra
     return result, trajectory
 
 
-compiled_cycle = compiled_quickly(_cycle, AROUND_A_KERNEL)
+compiled_cycle = compiled_quickly(_simulate_cycle, AROUND_A_KERNEL)
 
 
 def cycle(request: Request, begin: SavedMotion, worn: Worn) -> tuple[Cycle, Trajectory]:
-    """A cycle simulated, and its run."""
+    """A cycle simulated, and its run.
+
+    Args:
+        request: problem, responses and settings of a life.
+        begin: motion at its start.
+        worn: depth maps [m] by joint and surface.
+    """
     with stoppable():
         result, trajectory = jax.block_until_ready(compiled_cycle(request, begin, worn))
         trajectory = diagnosed(trajectory)
@@ -195,7 +201,13 @@ worn_by_cycles = compiled_quickly(_worn_by_cycles, AROUND_A_KERNEL)
 
 
 def kind_of_cycle(request: Request, begin: SavedMotion, worn: Worn) -> Cycle:
-    """A cycle with shapes in place of numbers; nothing is simulated."""
+    """A cycle with shapes instead of numbers; nothing is simulated.
+
+    Args:
+        request: problem, responses and settings of a life.
+        begin: motion at its start.
+        worn: depth maps [m] by joint and surface.
+    """
     return eqx.filter_eval_shape(compiled_cycle, request, begin, worn)[0]
 
 
@@ -241,9 +253,18 @@ def check_cycle(what: str, problem: Any) -> None:
 def as_problem(
     owner: str, subject: Any, period: Any, cycles: int, state: State | None = None
 ) -> Problem:
-    """The problem whose duration is one cycle: the one given, or a mechanism with its `period` [s],
-    the `state` from which it begins and the responses that one asks of it. Raises `ValueError` with
-    a sentence, also where drives do not repeat after a period and not after so many `cycles`."""
+    """The problem whose duration is one cycle.
+
+    Args:
+        owner: function in messages.
+        subject: such a problem, or a mechanism.
+        period: of a mechanism's cycle [s]; None with a problem.
+        cycles: after how many of them drives must repeat at the latest.
+        state: in which a mechanism begins; None: its own start.
+
+    Raises:
+        ValueError: arguments do not fit together, or drives do not repeat.
+    """
     if isinstance(subject, Problem):
         check_cycle(f"the first argument of {owner}", subject)
         if period is not None or state is not None:
@@ -288,10 +309,10 @@ def as_state(motion: SavedMotion, worn: Worn) -> State:
 
 def worst_of(checks: Sequence[Checks]) -> Checks:
     """Of each figure at each place the worst of all these."""
-    return functools.reduce(_worse, checks)
+    return functools.reduce(_worse_figures, checks)
 
 
-def _worse(one: Checks, other: Checks) -> Checks:
+def _worse_figures(one: Checks, other: Checks) -> Checks:
     """Of each figure at each place the worse of two."""
     figures = {}
     for check, mine in one.figures.items():
@@ -319,15 +340,15 @@ def relative_changes(history: StateHistory) -> dict[str, Float[Array, ""]]:
     )
     changes = {}
     for name, body in motions.items():
-        changes[f'the place of "{name}"'] = _change(body.com) / arm
+        changes[f'the place of "{name}"'] = _change_over(body.com) / arm
         # For small angles this is the angle.
         turn = _size((body.rotation[-1] - body.rotation[0]).reshape(-1)) / jnp.sqrt(2.0)
         changes[f'the attitude of "{name}"'] = turn
-        changes[f'the velocity of "{name}"'] = safe_divide(_change(body.velocity), fastest)
-        changes[f'the spin of "{name}"'] = safe_divide(arm * _change(body.spin), fastest)
-    for name, clearance in _clearances(history).items():
+        changes[f'the velocity of "{name}"'] = safe_divide(_change_over(body.velocity), fastest)
+        changes[f'the spin of "{name}"'] = safe_divide(arm * _change_over(body.spin), fastest)
+    for name, clearance in _clearances_of(history).items():
         offset = over_time(history, lambda now: now.pose(name).translation)
-        changes[f'the journal in joint "{name}"'] = _change(columns(offset)) / clearance
+        changes[f'the journal in joint "{name}"'] = _change_over(columns(offset)) / clearance
     layout = history.layout()
     for i, name in enumerate(layout.angles):
         angle = history.states[:, layout.angle_start + i]
@@ -335,7 +356,7 @@ def relative_changes(history: StateHistory) -> dict[str, Float[Array, ""]]:
     return changes
 
 
-def _clearances(history: StateHistory) -> dict[str, Any]:
+def _clearances_of(history: StateHistory) -> dict[str, Any]:
     """Clearance [m] of each joint whose journal moves freely in it."""
     mechanism = history.mechanism
     joints = {name: mechanism.connections[name].joint for name in mechanism.topology.clearances}
@@ -343,7 +364,7 @@ def _clearances(history: StateHistory) -> dict[str, Any]:
     return {name: size for name, size in clearances.items() if eqx.is_array(size)}
 
 
-def _change(values: Float[Array, "time n"]) -> Float[Array, ""]:
+def _change_over(values: Float[Array, "time n"]) -> Float[Array, ""]:
     return _size(values[-1] - values[0])
 
 
@@ -352,12 +373,18 @@ def _size(values: Float[Array, "*batch n"]) -> Float[Array, " *batch"]:
 
 
 def restless(mechanism: Mechanism, start: float, period: float) -> dict[str, tuple]:
-    """The drives that do not repeat from a time [s] to a `period` [s] later: by joint, what they
-    move it by [rad, m], and how far that is from where it was."""
+    """Drives that do not repeat after a period: (travel [rad, m], distance from the start) by
+    joint.
+
+    Args:
+        mechanism: with drives.
+        start: beginning of the period [s].
+        period: [s].
+    """
     changes = {}
     for name in mechanism.driven:
         joint = mechanism.connections[name].joint
-        before, after = (_driven_to(joint, time) for time in (start, start + period))
+        before, after = (_drive_position(joint, time) for time in (start, start + period))
         poses = [joint.motion((q,)) for q in (before, after)]
         parts = [np.array([[*p.rotation[i], p.translation[i]] for i in range(3)]) for p in poses]
         away = float(np.linalg.norm(parts[1] - parts[0]))
@@ -366,7 +393,7 @@ def restless(mechanism: Mechanism, start: float, period: float) -> dict[str, tup
     return changes
 
 
-def _driven_to(joint: Any, time: float) -> float:
+def _drive_position(joint: Any, time: float) -> float:
     """Where its drive has a joint at a time [s]."""
     drive = drive_of(joint)
     assert drive is not None
@@ -381,8 +408,17 @@ def check_cycles(owner: str, cycles: Any) -> None:
 def check_period(
     owner: str, mechanism: Mechanism, start: float, period: float, cycles: int = 1
 ) -> None:
-    """Raises `ValueError` where a drive does not repeat over a cycle that begins at a time [s], nor
-    over the last of so many: it may be on its way up to what it does for ever."""
+    """Raises `ValueError` where a drive repeats neither over the first cycle nor over the last.
+
+    A drive may approach what it does for ever.
+
+    Args:
+        owner: function in the message.
+        mechanism: with drives.
+        start: beginning of the first cycle [s].
+        period: of a cycle [s].
+        cycles: number of cycles.
+    """
     later = restless(mechanism, start + (cycles - 1) * period, period)
     for name, (moved, away) in restless(mechanism, start, period).items():
         if name not in later:
@@ -399,10 +435,17 @@ def check_period(
 
 
 def warn_of_several(owner: str, mechanism: Mechanism, start: float, period: float) -> None:
-    """Warns where all drives repeat after a part of the period already, as whole turns tell."""
+    """Warns where all drives repeat after a part of the period, by whole turns.
+
+    Args:
+        owner: function in the warning.
+        mechanism: with drives.
+        start: beginning of the period [s].
+        period: [s].
+    """
     joints = [mechanism.connections[name].joint for name in mechanism.driven]
     turns = [
-        (_driven_to(joint, start + period) - _driven_to(joint, start)) / (2 * np.pi)
+        (_drive_position(joint, start + period) - _drive_position(joint, start)) / (2 * np.pi)
         for joint in joints
         if joint.units[0] == "rad"
     ]

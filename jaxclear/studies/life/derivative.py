@@ -99,12 +99,12 @@ def wear_life_derivatives(
         for name in names:
             deviation = problem.marginals[name].deviation()
             step = float(deviation) if width is None else float(width)
-            derivatives[name] = _of_variable(life, quantity, limit, name, step, max_cycles)
+            derivatives[name] = _derivative_by(life, quantity, limit, name, step, max_cycles)
             progress.advance(1 / len(names))
     return derivatives
 
 
-def _of_variable(
+def _derivative_by(
     life: WearLife, quantity: str, limit: float | None, name: str, width: float, max_cycles: int
 ) -> LifeDerivative:
     """By one variable."""
@@ -117,7 +117,7 @@ def _of_variable(
     for move in MOVES:
         moved = problem.nominal() + move * width * jnp.eye(len(problem.names))[place]
         try:
-            other = _along(life, moved, max_cycles)
+            other = _relive(life, moved, max_cycles)
         except (SimulationError, ValueError) as reason:
             return _none(unit, f"The {what} has no derivative by {name} here: {reason}")
         length = _length_and_noise(other, quantity, limit)
@@ -144,7 +144,7 @@ def _none(unit: str, why: str) -> LifeDerivative:
     return LifeDerivative(np.nan, np.nan, unit, why)
 
 
-def _along(life: WearLife, values: Any, max_cycles: int) -> WearLife:
+def _relive(life: WearLife, values: Any, max_cycles: int) -> WearLife:
     """The life with other numbers, by the same steps."""
     accurate = life.accuracy if np.isfinite(life.accuracy) else 1.0
     rates = Rates(life.problem, values, Patience(SETTLED, accurate, max_cycles))

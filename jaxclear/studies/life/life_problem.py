@@ -129,18 +129,19 @@ class LifeUntil(AbstractLifeResponse):
     sure: bool = eqx.field(static=True, default=False, kw_only=True)
 
     def __check_init__(self):
-        _check_quantity("LifeUntil", self.name, self.sure)
+        expect(self.name, str, "quantity of LifeUntil", 'a text, such as "depth"')
+        check_flags("LifeUntil", sure=self.sure)
 
     def __call__(self, life):
         length = life.until(self.name, float(self.limit))
         if not np.isfinite(length.cycles):
             # Of a life that ended by a failed cycle nobody knows.
-            return np.nan if life.ended else self._outlived(life)
+            return np.nan if life.ended else self._value_if_outlived(life)
         if not self.sure:
             return length.cycles
         return max(length.cycles - length.error, 0.0)
 
-    def _outlived(self, life: WearLife) -> float:
+    def _value_if_outlived(self, life: WearLife) -> float:
         """Of a life in which the limit is not reached: infinite, unless it is to be sure and the
         error at the end may hide that it is."""
         now = life.at_end(self.name)
@@ -170,11 +171,6 @@ def _error_at_end(life: WearLife, name: str, value: float) -> float:
     return abs(value) * float(errors[-1])
 
 
-def _check_quantity(owner: str, quantity: str, sure: bool) -> None:
-    expect(quantity, str, f"quantity of {owner}", 'a text, such as "depth"')
-    check_flags(owner, sure=sure)
-
-
 class LifeExperiment(AbstractExperiment):
     """Lives of the machine of a problem, and what is asked of them (`LifeProblem`)."""
 
@@ -198,7 +194,7 @@ class LifeExperiment(AbstractExperiment):
         self.accuracy, self.max_cycles = float(accuracy), max_cycles
         self.response_names = tuple(response)
         for function in self._life_responses().values():
-            function.check(self._quantities())
+            function.check(self._quantity_units())
         others = [name for name in self.response_names if not self._decides(name)]
         if self.cycles is None and others:
             raise ValueError(
@@ -215,11 +211,11 @@ class LifeExperiment(AbstractExperiment):
         `ValueError` for values that make no machine."""
         deciding = [f for f in self._life_responses().values() if f.decides_length()]
         if self.cycles is not None and len(deciding) < len(self.response):
-            return self._lived(values, self.cycles)
+            return self._simulate_life(values, self.cycles)
         longest = np.inf if self.cycles is None else self.cycles
         # What a cycle wears says how long to live.
         cycles, most = min(1.0, longest), np.inf
-        life = self._lived(values, cycles)
+        life = self._simulate_life(values, cycles)
         for tried in range(TRIES):
             aheads = lengths = [f.ahead(life) for f in deciding]
             if self.cycles is None:
@@ -237,7 +233,7 @@ class LifeExperiment(AbstractExperiment):
             far = most if self.cycles is None else longest
             last = tried == TRIES - 1 and np.isfinite(far)
             cycles = far if last else min(cycles + max(BEYOND * ahead, 1.0), longest)
-            life = self._lived(values, cycles)
+            life = self._simulate_life(values, cycles)
         return life
 
     def evaluate(self, setting, *, discrete_derivatives=False):
@@ -250,9 +246,9 @@ class LifeExperiment(AbstractExperiment):
         try:
             life = self.life(values)
         except SimulationError:
-            return self._failed(Outcome.NOT_FINITE)
+            return self._failed_sample(Outcome.NOT_FINITE)
         except ValueError:
-            return self._failed(self._impossible(values))
+            return self._failed_sample(self._why_impossible(values))
         answers = {name: np.asarray(answer(name, f, life)) for name, f in self.response.items()}
         # One with a length asked for is of no use before its end to what is asked of that.
         is_complete = not life.ended or all(self._decides(name) for name in self.response_names)
@@ -268,7 +264,12 @@ class LifeExperiment(AbstractExperiment):
         return Cost(self.problem.cost().memory, 1, compiled=False)
 
     def detail(self, setting, index, chunk) -> WearLife:
-        """The life of one sample."""
+        """The life of one sample.
+
+        Args:
+            setting: values of the sample.
+            index, chunk: of the sample in its study, not needed here.
+        """
         return self.life(setting.values)
 
     def describe(self):
@@ -295,7 +296,7 @@ class LifeExperiment(AbstractExperiment):
         response = self._life_responses().get(name)
         if response is None:
             return ResponseInfo()
-        unit, parts = response.unit_among(self._quantities()), response.depends_on(self.problem)
+        unit, parts = response.unit_among(self._quantity_units()), response.depends_on(self.problem)
         if not response.decides_length():
             return ResponseInfo(unit, parts)
         if self.cycles is None:
@@ -325,7 +326,7 @@ class LifeExperiment(AbstractExperiment):
         declared = self._life_responses().get(response)
         return declared is not None and declared.decides_length()
 
-    def _quantities(self) -> dict[str, str]:
+    def _quantity_units(self) -> dict[str, str]:
         """Unit of all that a life tells of."""
         units = {DEPTH: "m", VOLUME: "m^3"} | self.problem.units()
         for joint, surfaces in wearing_in(self.problem.mechanism).items():
@@ -334,7 +335,7 @@ class LifeExperiment(AbstractExperiment):
                 units[f"{VOLUME} {joint} {surface}"] = "m^3"
         return units
 
-    def _impossible(self, values: Any) -> Outcome:
+    def _why_impossible(self, values: Any) -> Outcome:
         """Why a set of values makes no machine that lives."""
         try:
             check_values("this mechanism", self.problem.with_values(values))
@@ -346,12 +347,12 @@ class LifeExperiment(AbstractExperiment):
             return Outcome.UNASSEMBLED
         return Outcome.OUT_OF_RANGE
 
-    def _lived(self, values: Any, cycles: float) -> WearLife:
+    def _simulate_life(self, values: Any, cycles: float) -> WearLife:
         patience = Patience(SETTLED, float(self.accuracy), self.max_cycles)
         rates = Rates(self.problem, values, patience)
         return lived(rates, float(cycles), float(self.accuracy), None)
 
-    def _failed(self, outcome: Outcome) -> SampleResult:
+    def _failed_sample(self, outcome: Outcome) -> SampleResult:
         """A sample without a life, of the same shape as others."""
         nothing: dict[str, Any] = dict.fromkeys(self.response_names, np.asarray(np.nan))
         nominal = self.problem.nominal()

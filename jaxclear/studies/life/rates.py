@@ -52,7 +52,7 @@ class Rates:
         self.request = cycle_request(problem, values)
         self.motion, self.worn = first_state(problem, values)
         depth, self.unflat = flattened(self.worn)
-        self.cells = _cells(problem, self.worn)
+        self.cells = _make_cells(problem, self.worn)
         self.count = len(depth)
         self.first_row = np.concatenate([depth, np.zeros(len(self.cells.surfaces))])
         modelled = problem.integrator.formulation.modelled(problem.mechanism)
@@ -73,7 +73,7 @@ class Rates:
         self._refuse_worn_through(depth)
         begin = predicted(self.places, depth, self.units) if self.places else self.motion
         least = 2 if set_down else 1
-        result = settle(self._cycle, begin, self.unflat(depth), self.patience, least=least)
+        result = settle(self._simulate_cycle, begin, self.unflat(depth), self.patience, least=least)
         if result.last.fault:
             raise CycleFailed(result.last.fault)
         if not result.periodic:
@@ -151,7 +151,7 @@ class Rates:
         by_cells = {check: last.figures[check] for check in NARROW if check in last.figures}
         return Checks.of(worst.figures | by_cells)
 
-    def _cycle(self, motion: Any, worn: Worn) -> Cycle:
+    def _simulate_cycle(self, motion: Any, worn: Worn) -> Cycle:
         """A cycle, from the store where it is there."""
         self.simulated += 1
         store = self.store
@@ -198,7 +198,7 @@ def _as_much(half: Sequence[Cycle], losses_now: Worn) -> Half:
     return Half(tuple(scaled))
 
 
-def _cells(problem: Problem, worn: Worn) -> Cells:
+def _make_cells(problem: Problem, worn: Worn) -> Cells:
     """How depths of these surfaces stand in a row."""
     wearing = wearing_in(problem.mechanism)
     areas = {
@@ -228,8 +228,13 @@ def units_of_coordinates(mechanism: Mechanism) -> tuple[str, ...]:
 
 
 def predicted(places: Sequence[Place], depth: np.ndarray, units: tuple[str, ...]) -> SavedMotion:
-    """Where a motion begins on surfaces of this depth: at the end of the last one that settled,
-    moved as the surfaces have moved since."""
+    """The motion at which a cycle on given surfaces begins, extrapolated from the last two.
+
+    Args:
+        places: surfaces on which the motion has settled, with its end there.
+        depth: of all cells [m].
+        units: of the coordinates, which say what is an angle or a quaternion.
+    """
     last = places[-1].motion
     before = next((p for p in places[-2::-1] if np.any(p.depth != places[-1].depth)), None)
     if before is None:

@@ -303,7 +303,11 @@ class WearLife(AbstractAnswer):
         percents = [100 * error for error in (self.error, self.errors_of_volume[-1])]
         text += f"{deepest:.4g} m deep, known to {percents[0]:.2g} %, "
         text += f"the volume to {percents[1]:.2g} %."
-        text += " That of cells is not in it: verify=True." if self.by_cells is None else ""
+        text += (
+            " The error by the size of cells is not included; verify=True adds it."
+            if self.by_cells is None
+            else ""
+        )
         if self.ended:
             early = f"The life ended before its {self.requested_cycles:.4g} cycles: {self.ended}"
             text = f"{early} Until then, {text}"
@@ -377,7 +381,13 @@ def _monotone(places: np.ndarray, values: np.ndarray) -> Callable:
 def first_crossing(
     function: Callable[[float], float], cycles: np.ndarray, limit: float
 ) -> float | None:
-    """Where a function of cycles first reaches a limit; None where it does not."""
+    """Number of cycles at which a function first reaches a limit; None where it does not.
+
+    Args:
+        function: of a number of cycles.
+        cycles: ends of the steps between which it is smooth.
+        limit: in the function's unit.
+    """
     from scipy.optimize import brentq
 
     shares = np.arange(LOOKS) / LOOKS

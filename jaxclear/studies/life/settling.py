@@ -54,7 +54,7 @@ class Settling(NamedTuple):
     @property
     def wear(self) -> Worn:
         """Depth [m] that a cycle wears, by joint and surface."""
-        return _means([c.wore for c in self.taken])
+        return _mean_over_cycles([c.wore for c in self.taken])
 
     @property
     def noise(self) -> Worn:
@@ -65,14 +65,14 @@ class Settling(NamedTuple):
     def by_saves(self) -> Worn:
         """By how much `wear` would be another one if surfaces were updated at every fourth of the
         saving times alone [m]."""
-        return _means(
+        return _mean_over_cycles(
             [jax.tree.map(lambda a, b: a - b, c.wore_by_fourths, c.wore) for c in self.taken]
         )
 
     @property
     def volumes(self) -> Worn:
         """Volume [m3] that a cycle takes, by joint and surface."""
-        return _means([c.volumes for c in self.taken])
+        return _mean_over_cycles([c.volumes for c in self.taken])
 
     @property
     def volume_noise(self) -> Worn:
@@ -100,7 +100,7 @@ class Settling(NamedTuple):
         return means
 
 
-def _means(of_cycles: list[Worn]) -> Worn:
+def _mean_over_cycles(of_cycles: list[Worn]) -> Worn:
     return jax.tree.map(lambda *all: np.mean(all, axis=0), *of_cycles)
 
 
@@ -138,9 +138,19 @@ def settle(
     ready: Callable = lambda c: True,
     least: int = 1,
 ) -> Settling:
-    """At `least` so many cycles from a state until one is periodic and `ready`, until their mean
-    is known well enough, or until patience ends. Then all but the first are taken where a mean was
-    wanted, otherwise the later half. A cycle that fails is the last."""
+    """Cycles from a state until one is periodic, or their mean is accurate, or patience ends.
+
+    Without a periodic one, all but the first count where a mean was wanted, otherwise the later
+    half. A cycle that fails is the last.
+
+    Args:
+        run: function of a motion and worn surfaces: a cycle.
+        begin: motion at the first.
+        worn: depth maps [m] by joint and surface.
+        patience: largest number of cycles, distance of a periodic one, noise of a mean.
+        ready: further condition on the last cycle.
+        least: smallest number of cycles.
+    """
     cycles: list[Cycle] = []
     while len(cycles) < patience.most:
         one = run(begin, worn)

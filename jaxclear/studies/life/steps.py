@@ -157,7 +157,13 @@ class Node(NamedTuple):
 
     @classmethod
     def first(cls, depth: np.ndarray, rate: Rate, cells: Cells) -> "Node":
-        """That at the start of a life."""
+        """The node at the start of a life.
+
+        Args:
+            depth: of all cells [m].
+            rate: of wear there.
+            cells: of all surfaces.
+        """
         none, flat = np.zeros(len(cells.surfaces)), np.zeros(len(cells.areas))
         return cls(0.0, depth, rate, none, none, flat, flat)
 
@@ -219,9 +225,17 @@ class Machine(NamedTuple):
 
 
 def live(machine: Machine, start: Node, cycles: float, tolerance: float, first: float) -> Stepped:
-    """Steps to the end of `cycles`, each with an error of at most `tolerance` [1] of what it wears;
-    the `first` is so many cycles long. Steps that would be no longer than what their rates cost
-    give way to cycles one by one."""
+    """Steps of many cycles to the end of a life, with an error control.
+
+    Steps no longer than the cycles that their rates cost are replaced by single cycles.
+
+    Args:
+        machine: rates of wear and what surfaces become.
+        start: node at the beginning.
+        cycles: of the life.
+        tolerance: largest error of a step as a share of what it wears [1].
+        first: length of the first step [cycles].
+    """
     nodes, rejected, failures, length = [start], 0, 0, first
     refused: tuple[float, float] | None = None
     scatter, ceiling = 0.0, cycles
@@ -235,11 +249,11 @@ def live(machine: Machine, start: Node, cycles: float, tolerance: float, first: 
         length = remaining / np.ceil(remaining / length - 1e-9)
         try:
             if min(length, remaining) <= len(STAGES) * now.rate.cost:
-                nodes.append(_one_by_one(machine, now, min(1.0, remaining)))
+                nodes.append(_step_single_cycle(machine, now, min(1.0, remaining)))
                 length, ceiling = max(length, 1.0) * GROWTH, ceiling * WIDENS
                 machine.hear(min(1.0, remaining) / cycles)
                 continue
-            trial, error = _stepped(machine, nodes, length, tolerance)
+            trial, error = _step_many_cycles(machine, nodes, length, tolerance)
         except CycleFailed as reason:
             failures, rejected = failures + 1, rejected + 1
             if failures > MOST_FAILURES or length <= 1.0:
@@ -266,15 +280,21 @@ def live(machine: Machine, start: Node, cycles: float, tolerance: float, first: 
 
 
 def live_along(machine: Machine, start: Node, lengths: Sequence[Length]) -> Stepped:
-    """Steps of these lengths, whatever their errors: those of another life."""
+    """A life in given steps, whatever their errors: those of another life.
+
+    Args:
+        machine: rates of wear and what surfaces become.
+        start: node at the beginning.
+        lengths: cycles and parts of each step.
+    """
     nodes, cycles = [start], sum(length.cycles for length in lengths)
     trials: list[Trial] = []
     for length, parts in lengths:
         try:
             if parts == 0:
-                nodes.append(_one_by_one(machine, nodes[-1], length))
+                nodes.append(_step_single_cycle(machine, nodes[-1], length))
             else:
-                trial, _ = _stepped(machine, nodes, length, np.inf, parts)
+                trial, _ = _step_many_cycles(machine, nodes, length, np.inf, parts)
                 assert trial is not None
                 trials.append(trial)
                 nodes.append(trial.after)
@@ -285,27 +305,35 @@ def live_along(machine: Machine, start: Node, lengths: Sequence[Length]) -> Step
 
 
 def live_by_jumps(machine: Machine, start: Node, cycles: float, jump: float) -> Stepped:
-    """Steps of `jump` cycles, each with the losses at its start; half of what the next ones say
-    otherwise is their error."""
+    """A life in equal jumps, each with the losses at its start.
+
+    Half of the difference to the losses at the next start is their error.
+
+    Args:
+        machine: rates of wear and what surfaces become.
+        start: node at the beginning.
+        cycles: of the life.
+        jump: length of a step [cycles].
+    """
     nodes, cells = [start], machine.cells
     while cycles - nodes[-1].cycles > 1e-9 * cycles:
         now = nodes[-1]
         length = min(jump, cycles - now.cycles)
         losses = [(length, now.rate)]
-        depth, *path = machine.carry(_jobs(now.depth, losses, PARTS))
+        depth, *path = machine.carry(_make_jobs(now.depth, losses, PARTS))
         try:
             rate = machine.evaluate(depth)
         except CycleFailed as reason:
             return Stepped(tuple(nodes), 0, str(reason))
         off = 0.5 * (machine.carry([Job(now.depth, [(length, rate)], PARTS)])[0] - depth)
         shape = cells.shape(off, depth - now.depth)
-        after = _after(machine, now, losses, (*path, depth), rate, shape, PARTS)
+        after = _node_after(machine, now, losses, (*path, depth), rate, shape, PARTS)
         nodes.append(after._replace(error=now.error + np.abs(cells.means(off))))
         machine.hear(length / cycles)
     return Stepped(tuple(nodes), 0, "")
 
 
-def _one_by_one(machine: Machine, now: Node, length: float) -> Node:
+def _step_single_cycle(machine: Machine, now: Node, length: float) -> Node:
     """A cycle (or what is left of one) as it was simulated."""
     depth = now.depth + length * now.rate.wear
     noise = length * machine.cells.means(now.rate.noise)
@@ -319,7 +347,7 @@ def _one_by_one(machine: Machine, now: Node, length: float) -> Node:
     )
 
 
-def _stepped(
+def _step_many_cycles(
     machine: Machine, nodes: Sequence[Node], length: float, tolerance: float, parts: int = PARTS
 ) -> tuple[Trial | None, float]:
     """(a step of `length` cycles, None where it is hopeless; its error as a share of what it
@@ -328,73 +356,73 @@ def _stepped(
     now, cells = nodes[-1], machine.cells
     rates, so_far = [now.rate], now.depth - nodes[0].depth
     for row in STAGES[:-1]:
-        (depth,) = machine.carry([Job(now.depth, _summed(length * row, rates), parts)])
+        (depth,) = machine.carry([Job(now.depth, _sum_stages(length * row, rates), parts)])
         rates.append(machine.evaluate(depth))
         if len(rates) == 2:
-            change = _change(cells, rates[0], rates[1]) / row[0]
-            counts = _counts(cells, _most(cells, length, rates), so_far)
+            change = _relative_change(cells, rates[0], rates[1]) / row[0]
+            counts = _error_weights(cells, _largest_wear(cells, length, rates), so_far)
             # What is little is off by all of itself at the most.
             share = OF_CUBE * change**3 if counts == 1 else counts * min(OF_CUBE * change**3, 1.0)
             far = (share / tolerance) ** (1 / 3)
             if far > HOPELESS:
                 return None, tolerance * far**3
     # The last stage is the answer of third order.
-    losses = _summed(length * STAGES[-1], rates)
-    path, parts, by_parts = _carried(machine, now.depth, losses, so_far, tolerance, parts)
+    losses = _sum_stages(length * STAGES[-1], rates)
+    path, parts, by_parts = _carry_parts(machine, now.depth, losses, so_far, tolerance, parts)
     depth = path[-1]
     rates.append(machine.evaluate(depth))
-    losses_of_second = _summed(length * (WEIGHTS - ERRORS), rates)
+    losses_of_second = _sum_stages(length * (WEIGHTS - ERRORS), rates)
     (other,) = machine.carry([Job(now.depth, losses_of_second, parts)])
     grown, estimate = depth - now.depth, depth - other
     noise = [w * rate.noise for w, rate in zip(ERRORS, rates, strict=True)]
     noise = length * np.linalg.norm(noise, axis=0)
     shape = cells.shape(estimate, grown)
     sizes = cells.sizes(shape)
-    beyond = _beyond(sizes, cells.sizes(noise))
+    beyond = _subtract_noise(sizes, cells.sizes(noise))
     shape = shape * cells.each(cells.shares(beyond, sizes))[: len(shape)]
     # Steps are chosen by what their length can mend.
     off = cells.shares(beyond, cells.sizes(so_far + grown))
     shape = np.copysign(np.hypot(shape, by_parts), shape)
     increments = cells.means(grown)
     noise_shares = cells.shares(cells.means(noise), increments)
-    shares = _beyond(cells.shares(cells.means(estimate), increments), noise_shares)
-    change = _change(cells, rates[0], rates[-1])
+    shares = _subtract_noise(cells.shares(cells.means(estimate), increments), noise_shares)
+    change = _relative_change(cells, rates[0], rates[-1])
     smooth = np.minimum(shares, SMOOTH * change**2)
-    most = _most(cells, length, rates)
+    most = _largest_wear(cells, length, rates)
     error = np.minimum(smooth * OF_THIRD_ORDER * change, cells.shares(most, increments))
-    counts = _counts(cells, most, so_far)
+    counts = _error_weights(cells, most, so_far)
     ratios = (error + OF_SCATTER * (shares - smooth)) * counts + off
-    after = _after(machine, now, losses, path, rates[-1], shape, parts)
+    after = _node_after(machine, now, losses, path, rates[-1], shape, parts)
     after = after._replace(error=now.error + error * np.abs(increments))
     trial = Trial(after, shares, noise_shares, SMOOTH * change**2, counts)
     return trial, float(ratios.max(initial=0.0))
 
 
-def _most(cells: Cells, length: float, rates: Sequence[Rate]) -> np.ndarray:
+def _largest_wear(cells: Cells, length: float, rates: Sequence[Rate]) -> np.ndarray:
     """Mean depth of each surface that a step of this length wears by the largest of its rates."""
     return length * np.max([np.abs(cells.means(rate.wear)) for rate in rates], axis=0)
 
 
-def _counts(cells: Cells, losses: np.ndarray, so_far: np.ndarray) -> float:
+def _error_weights(cells: Cells, losses: np.ndarray, so_far: np.ndarray) -> float:
     """How much an error counts [1] that is a share of what a step loses, `losses` at the most: less
     where that is little beside what is worn so far, as of wear that comes to an end."""
     share = cells.shares(losses, np.abs(cells.means(so_far)) + np.abs(losses)).max(initial=0.0)
     return float(min(share / NEGLIGIBLE, 1.0))
 
 
-def _summed(weights: np.ndarray, rates: Sequence[Rate]) -> list[tuple[float, Rate]]:
+def _sum_stages(weights: np.ndarray, rates: Sequence[Rate]) -> list[tuple[float, Rate]]:
     """Stages and how many cycles of each; those of none are left out."""
     pairs = zip(map(float, weights), rates, strict=True)
     return [(cycles, rate) for cycles, rate in pairs if cycles > 0]
 
 
-def _jobs(row: np.ndarray, losses: Losses, parts: int) -> list[Job]:
+def _make_jobs(row: np.ndarray, losses: Losses, parts: int) -> list[Job]:
     """A row behind these losses, and on the way there."""
     paths = [[(share * length, rate) for length, rate in losses] for share in FRACTIONS]
     return [Job(row, some, parts) for some in (losses, *paths)]
 
 
-def _carried(
+def _carry_parts(
     machine: Machine,
     row: np.ndarray,
     losses: Losses,
@@ -407,7 +435,7 @@ def _carried(
     worn `so_far`."""
     cells = machine.cells
     fewer = [Job(row, losses, max(parts // few, 1)) for few in (2, 4)]
-    depth, *path, half, fourth = machine.carry([*_jobs(row, losses, parts), *fewer])
+    depth, *path, half, fourth = machine.carry([*_make_jobs(row, losses, parts), *fewer])
     rows = [fourth, half, depth]
     while True:
         before, off = ((b - a)[: len(cells.areas)] for a, b in pairwise(rows[-3:]))
@@ -419,11 +447,11 @@ def _carried(
         if share <= OF_TOLERANCE * tolerance or parts >= MOST_PARTS:
             return (*path, rows[-1]), parts, off
         parts *= 2
-        depth, *path = machine.carry(_jobs(row, losses, parts))
+        depth, *path = machine.carry(_make_jobs(row, losses, parts))
         rows.append(depth)
 
 
-def _after(
+def _node_after(
     machine: Machine,
     now: Node,
     losses: Losses,
@@ -469,17 +497,17 @@ def _after(
     )
 
 
-def _change(cells: Cells, one: Rate, other: Rate) -> float:
+def _relative_change(cells: Cells, one: Rate, other: Rate) -> float:
     """Relative change between the volumes of two rates, beyond their noise."""
     volumes = [cells.means(rate.wear) for rate in (one, other)]
     less, more = sorted(np.abs(volumes), key=lambda volume: float(volume.max(initial=0.0)))
     less = np.maximum(less, np.finfo(float).eps * more)
     noise = np.hypot(*(cells.means(rate.noise) for rate in (one, other)))
-    change = _beyond(cells.shares(volumes[1] - volumes[0], less), cells.shares(noise, less))
+    change = _subtract_noise(cells.shares(volumes[1] - volumes[0], less), cells.shares(noise, less))
     return float(change.max(initial=0.0))
 
 
-def _beyond(sizes: np.ndarray, noise: np.ndarray) -> np.ndarray:
+def _subtract_noise(sizes: np.ndarray, noise: np.ndarray) -> np.ndarray:
     """Sizes without what noise explains."""
     return np.sqrt(np.maximum(sizes**2 - (CONFIDENCE * noise) ** 2, 0.0))
 

@@ -140,7 +140,15 @@ def _error_of_cells(life: WearLife, patience: Patience) -> float:
 def lived(
     rates: Rates, cycles: float, accuracy: float, jump: float | None, lengths: Sequence[Length] = ()
 ) -> WearLife:
-    """The life, and what is kept of it; by steps of these `lengths` if they are given."""
+    """The life of a machine.
+
+    Args:
+        rates: of wear, on surfaces that the steps ask for.
+        cycles: of the life.
+        accuracy: of each step [1].
+        jump: length of equal steps [cycles]; None: error control.
+        lengths: steps of another life, to be taken instead.
+    """
     row, cells, problem = rates.first_row, rates.cells, rates.problem
     mechanism, period = problem.mechanism, float(problem.duration)
     check_period("wear_life", mechanism, float(rates.motion.time), period, rates.patience.most)

@@ -79,12 +79,19 @@ def design_points(
     seed: int,
     hopeless: Callable[[], bool] = lambda: False,
 ) -> list[DesignPoint]:
-    """The design points of each cut set, likeliest first; none where nothing fails within
-    `FURTHEST`. `hopeless`: asked where a first search finds none, whether others are in vain."""
+    """The design points of each cut set, likeliest first; none without a failure in `FURTHEST`.
+
+    Args:
+        model: margins at standard normal numbers.
+        cuts: sets of limits that fail together.
+        variables: number of variables.
+        seed: of the searches' starts.
+        hopeless: function called where a first search finds none: whether others are in vain.
+    """
     rng = np.random.default_rng([seed, 2])
     points: list[DesignPoint] = []
     for cut in cuts:
-        points += _of_cut(model, tuple(sorted(cut)), variables, rng, hopeless)
+        points += _points_of_cut(model, tuple(sorted(cut)), variables, rng, hopeless)
     single: list[DesignPoint] = []
     for point in sorted(points, key=lambda candidate: candidate.beta):
         if all(_new(point, other) or point.cut != other.cut for other in single):
@@ -92,7 +99,7 @@ def design_points(
     return single
 
 
-def _of_cut(model, cut, variables, rng, hopeless) -> list[DesignPoint]:
+def _points_of_cut(model, cut, variables, rng, hopeless) -> list[DesignPoint]:
     points: list[DesignPoint] = []
     bulges: list[_Bulge] = []
     directions = rng.normal(size=(STARTS, variables))
@@ -108,7 +115,7 @@ def _of_cut(model, cut, variables, rng, hopeless) -> list[DesignPoint]:
             break
         if hopeless():
             return []
-    flat = bool(points) and _plane(model, cut, points[0], directions[1])
+    flat = bool(points) and _is_plane(model, cut, points[0], directions[1])
     while 0 < len(points) < MOST_POINTS and safe and not flat:
         last = points[-1]
         height = STEEPNESS * last.beta * last.slopes.max()
@@ -116,7 +123,7 @@ def _of_cut(model, cut, variables, rng, hopeless) -> list[DesignPoint]:
         bulges.append(_Bulge(last.normal, RADIUS * last.beta, height))
         further = [OFF_MIDDLE * directions[0], -last.normal, *last.beta * directions[1:AGAIN]]
         for start in further:
-            where = _search(model, cut, start, bulges, STEPS_HIDDEN)
+            where = _search_point(model, cut, start, bulges, STEPS_HIDDEN)
             # The foot of a bulge is no design point: from there the search goes on without.
             point = None if where is None else _find_point(model, cut, where)
             if point is not None and point.beta > 0 and all(_new(point, other) for other in points):
@@ -130,12 +137,12 @@ def _of_cut(model, cut, variables, rng, hopeless) -> list[DesignPoint]:
     return points
 
 
-def _plane(model, cut, point: DesignPoint, direction: np.ndarray) -> bool:
+def _is_plane(model, cut, point: DesignPoint, direction: np.ndarray) -> bool:
     """Whether limits have one slope at the point, opposite it and in another direction: planes have
     no other point."""
     gradients = -point.directions * point.slopes[:, None]
     for at in (-point.normal, START_RADIUS * direction):
-        margins, slopes = _evaluate(model, cut, at, [])
+        margins, slopes = _evaluate_margins(model, cut, at, [])
         margins_at_point = margins + gradients @ (point.normal - at)
         flat = np.allclose(slopes, gradients, rtol=0, atol=FLAT * point.slopes.max())
         if not flat or not np.all(abs(margins_at_point) < NEAR * point.slopes):
@@ -149,10 +156,10 @@ def _new(point: DesignPoint, other: DesignPoint) -> bool:
 
 def _find_point(model, cut, start) -> DesignPoint | None:
     """The design point that a search from `start` (variables,) leads to."""
-    z = _search(model, cut, start, [], MOST_STEPS)
+    z = _search_point(model, cut, start, [], MOST_STEPS)
     if z is None or not np.linalg.norm(z) <= FURTHEST:
         return None
-    margins, slopes = _evaluate(model, cut, z, [])
+    margins, slopes = _evaluate_margins(model, cut, z, [])
     sizes = np.linalg.norm(slopes, axis=1)
     if not np.isfinite(margins).all() or not np.isfinite(sizes).all() or sizes.min() == 0.0:
         return None
@@ -168,7 +175,7 @@ def _find_point(model, cut, start) -> DesignPoint | None:
     return DesignPoint(z, beta, cut, directions, betas, sizes)
 
 
-def _search(model, cut, start, bulges, steps) -> np.ndarray | None:
+def _search_point(model, cut, start, bulges, steps) -> np.ndarray | None:
     """The place (variables,) to which a search from `start` leads that looks at so many; None where
     limits have no slopes at its start, or are no numbers."""
     cache: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}
@@ -177,7 +184,7 @@ def _search(model, cut, start, bulges, steps) -> np.ndarray | None:
         if z.tobytes() not in cache:
             if len(cache) == steps:
                 raise StopIteration
-            cache[z.tobytes()] = _evaluate(model, cut, z, bulges)
+            cache[z.tobytes()] = _evaluate_margins(model, cut, z, bulges)
         return cache[z.tobytes()]
 
     # Far from the limit slopes may be next to none: there it is taken for a plane.
@@ -213,7 +220,7 @@ def _search(model, cut, start, bulges, steps) -> np.ndarray | None:
     return result if np.isfinite(result).all() else None
 
 
-def _evaluate(model, cut, z, bulges):
+def _evaluate_margins(model, cut, z, bulges):
     """Margins (limits of the cut,) and slopes (limits, variables), found points hidden."""
     margins, slopes = model.slopes(z[None])
     margins, slopes = margins[0, list(cut)], slopes[0][list(cut)]

@@ -81,8 +81,16 @@ def importance(
     most_runs: int,
     seed: int,
 ) -> Probability:
-    """Probability of failing to a coefficient of variation of `variation`, in `most_runs` at the
-    most."""
+    """Probability of failing by importance sampling at design points.
+
+    Args:
+        model: margins by runs.
+        surface: control variate; None: without.
+        proposal: mixture of densities at the design points.
+        variation: required coefficient of variation [1].
+        most_runs: largest number of runs.
+        seed: of the samples.
+    """
     cuts = model.limit.cut_sets()
     before, failed = model.runs, model.failed
     exact = _surface_probability(surface, proposal, cuts, seed) if surface is not None else None

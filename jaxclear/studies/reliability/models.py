@@ -79,7 +79,7 @@ class RunModel(AbstractModel):
         self.runs += len(normal) * (1 + normal.shape[1])
         through = value_slopes(self.problem, normal)
         steep = [
-            _sense(part) * np.einsum("kv,kvz->kz", gradients[part.response], through)
+            _sign_of_margin(part) * np.einsum("kv,kvz->kz", gradients[part.response], through)
             for part in self.limit.limits()
         ]
         return self.of(result), np.stack(steep, axis=1)
@@ -122,12 +122,12 @@ class SurfaceModel(AbstractModel):
         return np.asarray(both[0]), np.asarray(both[1])
 
 
-def _sense(limit: Any) -> float:
+def _sign_of_margin(limit: Any) -> float:
     """How a margin moves with its response."""
     return float(limit.margin({limit.response: 1.0}) - limit.margin({limit.response: 0.0}))
 
 
-def _at(surface, limits):
+def _margins_function(surface, limits):
     def margins(z):
         responses = surface(surface.problem.inputs.values(z))
         return jnp.stack([limit.margin(responses) for limit in limits])
@@ -137,12 +137,12 @@ def _at(surface, limits):
 
 @eqx.filter_jit
 def _surface_margins(surface, limits, normal):
-    return jax.lax.map(_at(surface, limits), normal, batch_size=1024)
+    return jax.lax.map(_margins_function(surface, limits), normal, batch_size=1024)
 
 
 @eqx.filter_jit
 def _surface_slopes(surface, limits, normal):
-    margins = _at(surface, limits)
+    margins = _margins_function(surface, limits)
     return jax.vmap(lambda z: (margins(z), jax.jacfwd(margins)(z)))(normal)
 
 
@@ -179,5 +179,10 @@ class Probability(NamedTuple):
 
 
 def refused(why: str, runs: int = 0, failed: int = 0) -> Probability:
-    """No answer, and the sentence that says why."""
+    """A probability without a value, with the reason.
+
+    Args:
+        why: sentence for the user.
+        runs, failed: numbers of runs, and of those that failed.
+    """
     return Probability(np.nan, runs=runs, failed=failed, refusal=why)

@@ -59,7 +59,7 @@ def surface_where_it_fails(
     variables, cuts = len(model.problem.names), model.limit.cut_sets()
     rng = np.random.default_rng([seed, 6])
     runs = max(RUNS_PER_TERM * len(powers(np.full(variables, 2), 2)), FEWEST)
-    samples = [_counted(model, WIDE * scrambled_normal(runs, variables, rng))]
+    samples = [_run_and_count(model, WIDE * scrambled_normal(runs, variables, rng))]
     for _ in range(MOST_ROUNDS):
         values = np.concatenate([points for points, _ in samples])
         result = jax.tree.map(lambda *parts: np.concatenate(parts), *(runs for _, runs in samples))
@@ -84,11 +84,11 @@ def surface_where_it_fails(
         for point, size in zip(points, sizes, strict=True):
             if not size <= RIGHT:
                 about = scrambled_normal(RUNS_ABOUT * (variables + 1), variables, rng)
-                samples.append(_counted(model, point.normal + ABOUT * about))
+                samples.append(_run_and_count(model, point.normal + ABOUT * about))
     return surface, points, False
 
 
-def _counted(model: RunModel, normal: np.ndarray) -> tuple[np.ndarray, SampleResult]:
+def _run_and_count(model: RunModel, normal: np.ndarray) -> tuple[np.ndarray, SampleResult]:
     values, result = model.responses(normal)
     model.of(result)
     return values, result
@@ -144,28 +144,28 @@ def reliability(
         ValueError: if an argument is wrong.
     """
     expect(problem, Problem, "what reliability is asked of", "a problem of jaxclear")
-    names = _checked(problem, limit, methods, surface)
+    names = _check_request(problem, limit, methods, surface)
     check_number("variation of reliability", variation, above=0, at_most=1)
     check_count("most_runs of reliability", most_runs)
     check_count("seed of reliability", seed, at_least=0)
     check_flags("reliability", progress_bar=progress_bar)
     model = RunModel(problem, limit, progress_bar)
     reach = Reach(model, seed)
-    points, fitted, notes = _searched(model, surface, names, seed, reach)
+    points, fitted, notes = _find_design_points(model, surface, names, seed, reach)
     estimates: dict[str, Probability] = {}
     if "form" in names:
         estimates["form"] = (
             Probability(form(points), runs=model.runs) if points else _none(fitted, limit, notes)
         )
     if "sorm" in names:
-        estimates |= _second_order(
+        estimates |= _sorm_answers(
             model if fitted is None else SurfaceModel(fitted, limit), model, points
         )
     if "importance" in names:
         settings = variation, most_runs, seed
-        estimates["importance"] = _about(model, fitted, points, settings, notes) or _none(
-            fitted, limit, notes
-        )
+        estimates["importance"] = _sample_at_points(
+            model, fitted, points, settings, notes
+        ) or _none(fitted, limit, notes)
     missed = "importance" in estimates and not estimates["importance"].variation <= variation
     looked = "subset" in names or (methods is None and missed)
     sampled = "importance" in estimates and np.isfinite(estimates["importance"].value)
@@ -180,7 +180,7 @@ def reliability(
     return Reliability(problem, limit, estimates, tuple(points), fitted, *counts, variation, *texts)
 
 
-def _about(
+def _sample_at_points(
     model: RunModel,
     fitted: ResponseSurface | None,
     points: list[DesignPoint],
@@ -195,8 +195,8 @@ def _about(
     trusted = fitted is not None and all(fitted.trusted(part.response) for part in limit.limits())
     control = SurfaceModel(fitted, limit) if fitted is not None and trusted else None
     proposal = Proposal.at([point.normal for point in points], [point.beta for point in points])
-    if control is not None or _cheap(model.problem):
-        proposal = _with_other_regions(control or model, proposal, settings)
+    if control is not None or _is_cheap(model.problem):
+        proposal = _add_other_regions(control or model, proposal, settings)
         more = len(proposal.centres) - 1 - len(points)
         if more:
             notes.append(
@@ -208,12 +208,12 @@ def _about(
     return importance(model, control, proposal, *settings)
 
 
-def _cheap(problem: Problem) -> bool:
+def _is_cheap(problem: Problem) -> bool:
     cost = problem.cost()
     return cost.cheap and cost.batch >= CHEAP
 
 
-def _with_other_regions(
+def _add_other_regions(
     search: RunModel | SurfaceModel, proposal: Proposal, settings: tuple[float, int, int]
 ) -> Proposal:
     """The proposal, and a centre in each region of failing parts which it hardly samples, as a
@@ -244,7 +244,7 @@ def _with_other_regions(
     return proposal
 
 
-def _searched(
+def _find_design_points(
     model: RunModel, surface: ResponseSurface | None, names: Sequence[str], seed: int, reach: Reach
 ) -> tuple[list[DesignPoint], ResponseSurface | None, list[str]]:
     """Design points, the surface on which they were found (None: on runs), and sentences."""
@@ -253,7 +253,7 @@ def _searched(
     cuts, variables = model.limit.cut_sets(), len(model.problem.names)
     hopeless = lambda: bool(reach.beyond())
     exact = not any(model.problem.description.derivative)
-    if surface is None and exact and _cheap(model.problem):
+    if surface is None and exact and _is_cheap(model.problem):
         return design_points(model, cuts, variables, seed, hopeless), None, []
     if surface is None:
         result, points, right = surface_where_it_fails(model, seed)
@@ -285,7 +285,7 @@ def _none(
     return refused("there is no surface." if none else "no design point is found.")
 
 
-def _second_order(
+def _sorm_answers(
     search: AbstractModel, model: RunModel, points: list[DesignPoint]
 ) -> dict[str, Probability]:
     """SORM's answers by its two formulas."""
@@ -305,7 +305,7 @@ def _second_order(
     }
 
 
-def _checked(problem: Problem, limit: Any, methods: Any, surface: Any) -> tuple[str, ...]:
+def _check_request(problem: Problem, limit: Any, methods: Any, surface: Any) -> tuple[str, ...]:
     """The methods wanted. Raises `ValueError` for what cannot be asked."""
     if not problem.names:
         raise ValueError(

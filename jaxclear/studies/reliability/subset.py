@@ -42,12 +42,17 @@ FAR = 1e-8
 
 
 def subset(model: RunModel, variation: float, most_runs: int, seed: int) -> Probability:
-    """Probability of failing to a coefficient of variation of `variation`, in `most_runs` at the
-    most, the first repetitions aside.
+    """Probability of failing by subset simulation.
 
-    An answer is too high by up to half the square of a single repetition's coefficient of
-    variation, because its levels are its own samples'. That is part of the error, and where it is
-    most of it the levels are doubled and the repetitions begin anew.
+    It is too high by up to half the square of a single repetition's coefficient of variation,
+    because its levels are its own samples'. That is part of the error, and where it dominates the
+    levels are doubled and the repetitions begin anew.
+
+    Args:
+        model: margins by runs.
+        variation: required coefficient of variation [1].
+        most_runs: largest number of runs; the first repetitions may exceed it.
+        seed: of the samples.
     """
     before, failed, level = model.runs, model.failed, LEVEL
     values, unknown, reached, cost = np.zeros(0), np.zeros(0), np.zeros(0), 0
@@ -59,7 +64,7 @@ def subset(model: RunModel, variation: float, most_runs: int, seed: int) -> Prob
         values, unknown, reached = (np.concatenate(pair) for pair in pairs_of_columns)
         cost += model.runs - start
         mean = values.mean()
-        single = _single(values, reached, level)
+        single = _variation_of_one(values, reached, level)
         # Without levels the samples are independent, and there is no bias.
         bias = 0.5 * single**2 if reached.mean() < 1.0 else 0.0
         error = np.hypot(single / np.sqrt(len(values)), bias)
@@ -89,7 +94,7 @@ def subset(model: RunModel, variation: float, most_runs: int, seed: int) -> Prob
     return Probability(float(mean), float(error), runs, failed, share, len(values))
 
 
-def _single(values: np.ndarray, reached: np.ndarray, level: int) -> float:
+def _variation_of_one(values: np.ndarray, reached: np.ndarray, level: int) -> float:
     """Coefficient of variation of one repetition: by the spread of `values` (repetitions,), but no
     less than that of independent samples at each level, which a few may be by chance; `reached`
     (repetitions,) are the parts that the levels took."""
@@ -108,10 +113,18 @@ def repetitions(
     rng,
     see: Callable[[np.ndarray, np.ndarray], None] = lambda normal, margins: None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """What so many independent simulations with `count` samples a level say, (repetitions,) each
-    [1]: the shares that fail, how much of them are runs that did not reach their end, and the
-    rarest parts that a simulation reached. `see` is shown all samples
-    (samples, variables) with their margins (samples, limits)."""
+    """Independent subset simulations; arrays (repetitions,) [1].
+
+    Args:
+        model: margins by runs or by a surface.
+        number: of repetitions.
+        count: samples of a level.
+        rng: random generator.
+        see: function called with all samples (samples, variables) and margins (samples, limits).
+
+    Returns:
+        Shares that fail; shares of runs that did not reach their end; the rarest parts reached.
+    """
     variables, cuts = len(model.problem.names), model.limit.cut_sets()
     normal = rng.normal(size=(number, count, variables))
     scales = np.ones(len(model.limit.limits()))
@@ -123,16 +136,16 @@ def repetitions(
         return margins
 
     def worst(at):
-        return _worst(evaluate(at) / scales, cuts).reshape(at.shape[:-1])
+        return _system_margins(evaluate(at) / scales, cuts).reshape(at.shape[:-1])
 
     margins = evaluate(normal)
     # Limits in one scale, so that a system's worst samples are not those of the largest unit.
-    scales = np.array([_scale(column[np.isfinite(column)]) for column in margins.T])
-    margins = _worst(margins / scales, cuts).reshape(number, count)
+    scales = np.array([_scale_of_margins(column[np.isfinite(column)]) for column in margins.T])
+    margins = _system_margins(margins / scales, cuts).reshape(number, count)
     result, unknown, seed_count = np.zeros(number), np.zeros(number), int(SHARE * count)
     share, open_ = np.ones(number), np.ones(number, bool)
     while open_.any():
-        level = np.array([_level(column, seed_count) for column in margins])
+        level = np.array([_next_level(column, seed_count) for column in margins])
         # -inf where so many runs are lost that they are the level; nan where nothing parts the
         # samples, and those that fail are counted as they are.
         done = open_ & ~(level > 0)
@@ -146,16 +159,16 @@ def repetitions(
         if not open_.any():
             break
         pairs = zip(margins[open_], level[open_], strict=True)
-        seeds = np.stack([_seeds(*pair, seed_count, rng) for pair in pairs])
+        seeds = np.stack([_choose_seeds(*pair, seed_count, rng) for pair in pairs])
         chains = (
             np.take_along_axis(normal[open_], seeds[..., None], axis=1),
             np.take_along_axis(margins[open_], seeds, axis=1),
         )
-        normal[open_], margins[open_] = _conditioned(worst, *chains, level[open_], rng)
+        normal[open_], margins[open_] = _run_chains(worst, *chains, level[open_], rng)
     return result, unknown, share
 
 
-def _level(margins: np.ndarray, seed_count: int) -> float:
+def _next_level(margins: np.ndarray, seed_count: int) -> float:
     """The margin that about `seed_count` of the samples (samples,) do not exceed; where samples tie
     there, with all of the tie or with none of it, whichever takes nearer as many; nan where that
     parts no samples."""
@@ -169,7 +182,7 @@ def _level(margins: np.ndarray, seed_count: int) -> float:
     return np.nan if within == count and low > 0 else float(low)
 
 
-def _seeds(margins: np.ndarray, level: float, seed_count: int, rng) -> np.ndarray:
+def _choose_seeds(margins: np.ndarray, level: float, seed_count: int, rng) -> np.ndarray:
     """So many of the samples (samples,) at or below a level, the worst ones where these are just
     so many; of ties any."""
     inside = np.flatnonzero(margins <= level)
@@ -178,7 +191,7 @@ def _seeds(margins: np.ndarray, level: float, seed_count: int, rng) -> np.ndarra
     return np.resize(rng.permutation(inside), seed_count)
 
 
-def _scale(finite: np.ndarray) -> float:
+def _scale_of_margins(finite: np.ndarray) -> float:
     """Deviation of the finite margins of a limit; where it has none, as of a single one, what they
     are; 1 where there are none, or nothing."""
     if not len(finite):
@@ -187,7 +200,7 @@ def _scale(finite: np.ndarray) -> float:
     return spread if spread > np.finfo(float).eps * largest else largest or 1.0
 
 
-def _worst(margins: np.ndarray, cuts) -> np.ndarray:
+def _system_margins(margins: np.ndarray, cuts) -> np.ndarray:
     """Margins (samples,) of a system from those of its limits (samples, limits), `BROKEN` at the
     least; -inf for lost runs alone."""
     is_missing = np.isnan(margins).any(axis=1)
@@ -195,7 +208,7 @@ def _worst(margins: np.ndarray, cuts) -> np.ndarray:
     return np.where(is_missing, -np.inf, np.maximum(system, BROKEN))
 
 
-def _conditioned(worst, seeds, margins, levels, rng) -> tuple[np.ndarray, np.ndarray]:
+def _run_chains(worst, seeds, margins, levels, rng) -> tuple[np.ndarray, np.ndarray]:
     """Chains from `seeds` (repetitions, chains, variables) with their `margins` that stay at or
     below the levels (repetitions,): (repetitions, samples, variables) and their margins."""
     steps = round(1 / SHARE)
@@ -228,7 +241,7 @@ class Reach:
         where it is not known."""
         if self.sentence is None:
             rng, before = np.random.default_rng([self.seed, 7]), self.model.runs
-            (share,), _, (rare,) = repetitions(self.model, 1, PILOT, rng, self._see)
+            (share,), _, (rare,) = repetitions(self.model, 1, PILOT, rng, self._note_samples)
             self.sentence = ""
             if not share > 0.0 and not rare > FAR and self.normal is not None:
                 runs = self.model.runs - before
@@ -236,7 +249,7 @@ class Reach:
                 self.sentence = self._nearest_text(self.normal, far)
         return self.sentence
 
-    def _see(self, normal: np.ndarray, margins: np.ndarray) -> None:
+    def _note_samples(self, normal: np.ndarray, margins: np.ndarray) -> None:
         """Of samples (samples, variables) with margins (samples, limits), known if not nan."""
         finite = np.where(np.isnan(margins), np.inf, margins)
         system = system_margin(finite, self.model.limit.cut_sets())

@@ -17,7 +17,7 @@ from jaxclear.studies.answer import DATASET, RESPONSE, VARIABLE, AbstractAnswer,
 from jaxclear.studies.monte_carlo import MonteCarlo
 from jaxclear.studies.run_warnings import FEW_WARNED
 from jaxclear.studies.sensitivity.estimand import Size
-from jaxclear.studies.statistics.scrambled import skewed_half
+from jaxclear.studies.statistics.scrambled import half_widths
 
 # An answer this many times less certain than another is large agrees with anything, and confirms
 # nothing; of a zero, one whose error is no small part of all that the variable could do.
@@ -61,7 +61,7 @@ def from_parts(parts: np.ndarray, bias: float = 0.0) -> Estimate:
     """The mean of contributions (scramblings,), with their interval and a bias."""
     if len(parts) < 2 or not np.all(np.isfinite(parts)):
         return refused("the sample has too few independent scramblings to tell an error.")
-    return Estimate(float(parts.mean()), float(np.hypot(skewed_half(parts), bias)))
+    return Estimate(float(parts.mean()), float(np.hypot(max(half_widths(parts)), bias)))
 
 
 def refused(why: str) -> Estimate:
@@ -160,12 +160,22 @@ class Sensitivity(AbstractAnswer):
 def confirmed(
     response: str, variable: str, estimates: dict[str, Estimate], size: Size = Size()
 ) -> Derivative:
-    """One answer from the methods' answers: the regression, or else the most certain one without
-    doubt, if another method confirms it. Estimates in doubt that none confirms are refused. `size`:
-    beside what a derivative of zero is small."""
+    """One derivative from the estimates of several methods.
+
+    It is the regression's, or else the most certain one without doubt, if another method confirms
+    it.
+
+    Args:
+        response: its name.
+        variable: its name.
+        estimates: by method.
+        size: beside which a derivative of zero is small.
+    """
     estimates = _without_unconfirmed(estimates)
     order = sorted(_by_certainty(estimates, size), key=lambda name: name != WIDEST)
-    estimates = _rounded(estimates, size)
+    # Errors hold what arithmetic leaves.
+    off = lambda estimate: float(np.hypot(estimate.error, size.rounding))
+    estimates = {name: one._replace(error=off(one)) for name, one in estimates.items()}
 
     def answer(value, error, method, verdict, trustworthy=False):
         verdict += "".join(
@@ -221,12 +231,6 @@ def _without_unconfirmed(estimates: dict[str, Estimate]) -> dict[str, Estimate]:
         return refused(f"{estimate.value:.4g}, but {which}, and {estimate.doubt}.")
 
     return {name: check(estimate) for name, estimate in estimates.items()}
-
-
-def _rounded(estimates: dict[str, Estimate], size: Size) -> dict[str, Estimate]:
-    """The estimates with errors that hold what arithmetic leaves."""
-    off = lambda estimate: float(np.hypot(estimate.error, size.rounding))
-    return {name: estimate._replace(error=off(estimate)) for name, estimate in estimates.items()}
 
 
 def _by_certainty(estimates: dict[str, Estimate], size: Size = Size()) -> list[str]:

@@ -58,9 +58,16 @@ class Runs(NamedTuple):
         return rows[self.good()].T
 
     def answer(self, problem: Problem, one: Functional, estimate: Estimate) -> Estimate:
-        """An estimate with the runs that it took, those that warn, and what it leaves out: samples
-        of which some runs fail and others do not lie at an edge of what can be run, where slopes
-        may be any."""
+        """An estimate with its runs, their warnings, and a doubt where samples fail in part.
+
+        Samples of which some runs fail and others do not lie at an edge of what can be run, where
+        slopes may be any.
+
+        Args:
+            problem: says what concerns the response.
+            one: statistic that is differentiated.
+            estimate: without these.
+        """
         count, good = len(self.result.outcome), self.good()
         among = np.repeat(good, count // len(self.group))
         warned, warnings = concern(problem, one.response, self.result.checks, among)
@@ -93,8 +100,14 @@ def moved(
     *,
     progress_bar: bool = False,
 ) -> Runs:
-    """The runs of a sample, values (samples, variables) and their scramblings (samples,), with one
-    variable moved: four shifts after each other for each sample."""
+    """Runs of a sample with one variable moved: four shifts of each sample, one after the other.
+
+    Args:
+        problem: with the variables.
+        sample: values (samples, variables) and scramblings (samples,).
+        direction: variable and number that is differentiated by.
+        progress_bar: whether one is shown.
+    """
     values, group = sample
     speed = direction.velocities(problem, values)
     axis = np.eye(values.shape[1])[direction.variable]
@@ -111,8 +124,14 @@ def moved(
 def differences(
     problem: Problem, runs: Runs, direction: Direction, functionals: list[Functional]
 ) -> dict[str, Estimate]:
-    """Central differences over common random numbers by one step of the direction and half of it,
-    extrapolated; by label of the statistics."""
+    """Central differences over common random numbers, extrapolated from two steps, by label.
+
+    Args:
+        problem: with the variables.
+        runs: shifted runs (`moved`).
+        direction: variable, number and step.
+        functionals: statistics that are differentiated.
+    """
     step, good = direction.step(problem), runs.good()
     group, answers = runs.group[good], {}
     for one in functionals:

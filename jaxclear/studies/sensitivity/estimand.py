@@ -80,7 +80,7 @@ class Functional(NamedTuple):
             return float(responses.std(ddof=1))
         if self.kind == "quantile":
             return smooth_quantile(responses, self.number)
-        return float(np.mean(self._beyond(responses)))
+        return float(np.mean(self._which_beyond(responses)))
 
     @property
     def smooth(self) -> bool:
@@ -90,15 +90,15 @@ class Functional(NamedTuple):
     def deciding(self, *rows: np.ndarray) -> float:
         """How many samples decide it, of rows of responses (samples,) in the mean: those beyond a
         quantile or a limit, or all."""
-        return float(np.mean([self._deciding(row) for row in rows]))
+        return float(np.mean([self._deciding_count(row) for row in rows]))
 
-    def _deciding(self, responses: np.ndarray) -> float:
+    def _deciding_count(self, responses: np.ndarray) -> float:
         count = len(responses)
         if self.kind == "quantile":
             return count * min(self.number, 1.0 - self.number)
         if self.kind not in KINDS:
             return float(count)
-        beyond = int(np.sum(self._beyond(responses)))
+        beyond = int(np.sum(self._which_beyond(responses)))
         return float(min(beyond, count - beyond))
 
     def undecided(self, *rows: np.ndarray, by: str) -> str:
@@ -167,7 +167,7 @@ class Functional(NamedTuple):
             density = 2 * SCORES_ASIDE * normal_density(score) / (high - low)
             place = np.quantile(sample, self.number)
             return lambda y: (y <= place) / -density
-        return lambda y: self._beyond(y).astype(float)
+        return lambda y: self._which_beyond(y).astype(float)
 
     def size(self, sample: np.ndarray, step: float) -> Size:
         """How large its derivative may be, from a sample (samples,) of the response and the step of
@@ -189,7 +189,7 @@ class Functional(NamedTuple):
             return (responses - responses.mean()) / responses.std(ddof=1) * tangents
         return None
 
-    def _beyond(self, responses):
+    def _which_beyond(self, responses):
         return responses > self.number if self.kind == "above" else responses < self.number
 
 
@@ -200,14 +200,14 @@ def functionals(of: Any, problem: Problem) -> list[Functional]:
         of = dict.fromkeys(problem.response_names, of)
     for name in of:
         check_name("response", name, problem.response_names, " in this problem")
-    result = [_functional(name, one) for name, kinds in of.items() for one in _several(kinds)]
+    result = [_make_functional(name, one) for name, kinds in of.items() for one in _as_list(kinds)]
     for one in result:
         if one.kind in ("above", "below"):
             check_within_horizon(problem, one.response, one.number)
     return result
 
 
-def _several(value: Any) -> list:
+def _as_list(value: Any) -> list:
     pair = isinstance(value, tuple) and len(value) == 2 and value[0] in KINDS
     if isinstance(value, str) or pair:
         return [value]
@@ -217,7 +217,7 @@ def _several(value: Any) -> list:
     return list(value)
 
 
-def _functional(response: str, value: Any) -> Functional:
+def _make_functional(response: str, value: Any) -> Functional:
     if isinstance(value, str) and value not in KINDS:
         check_name("statistic of sensitivity", value, WORDS)
         return Functional(response, value)
@@ -286,16 +286,21 @@ def _speed(distribution, number):
 
 
 @compiled_quickly
-def _weights(distribution, number, scores, leaning):
+def _score_weights(distribution, number, scores, leaning):
     speed, rate = jax.jvp(_speed(distribution, number), (scores,), (jnp.ones_like(scores),))
     return speed * leaning - rate
 
 
 def weights(problem: Problem, direction: Direction, normal: np.ndarray) -> np.ndarray:
-    """Score function of the sample's distribution, (samples,) [1/unit]: the derivative of a mean is
-    the mean of the response times this, and what its ends add.
+    """Score function of the sample's distribution, shape (samples,) [1/unit].
 
-    `normal` (samples, variables): the independent standard normal numbers of the sample.
+    The derivative of a mean is the mean of the response times this, plus what the ends of the
+    distribution add.
+
+    Args:
+        problem: with the joint distribution.
+        direction: variable and number that is differentiated by.
+        normal: independent standard normal numbers of the sample, shape (samples, variables).
     """
     inputs, i = problem.inputs, direction.variable
     scores, leaning = normal[:, i], normal[:, i]
@@ -304,4 +309,4 @@ def weights(problem: Problem, direction: Direction, normal: np.ndarray) -> np.nd
         # The i-th component of correlation^-1 scores.
         leaning = normal @ np.asarray(inputs.inverse_root)[:, i]
     law = inputs.distributions[i]
-    return np.asarray(_weights(law, direction.number, scores, leaning))
+    return np.asarray(_score_weights(law, direction.number, scores, leaning))

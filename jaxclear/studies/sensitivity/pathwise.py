@@ -52,8 +52,16 @@ def pathwise(
     *,
     progress_bar: bool = False,
 ) -> dict[str, Estimate]:
-    """Mean over the `sample`, values (samples, variables) and their scramblings (samples,), of the
-    derivative of each run; refused where it has no mean, in doubt where contacts open and close.
+    """Mean of the derivatives of all runs, by label of the statistic.
+
+    It is refused where it has no mean, and in doubt where contacts open and close.
+
+    Args:
+        problem: with the variables.
+        sample: values (samples, variables) and scramblings (samples,).
+        direction: variable and number that is differentiated by.
+        functionals: statistics that are differentiated.
+        progress_bar: whether one is shown.
     """
     refusal, doubt = problem.description.derivative
     values, group = sample

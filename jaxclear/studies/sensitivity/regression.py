@@ -74,7 +74,14 @@ class Outer(NamedTuple):
 
 
 def runs_outside(problem: Problem, scramblings: np.ndarray, seed: int, progress_bar: bool) -> Outer:
-    """Runs that belong to a sample of these scramblings (samples,)."""
+    """Further runs outside the bulk of the distribution, for the polynomial.
+
+    Args:
+        problem: with the variables.
+        scramblings: of the sample's members, shape (samples,).
+        seed: of the runs.
+        progress_bar: whether one is shown.
+    """
     names, count = np.unique(scramblings), len(problem.names)
     each = min(len(scramblings) // SHARE, MOST) // len(names)
     numbers = [
@@ -111,12 +118,14 @@ def mixture_weights(normal: np.ndarray, inside: int) -> np.ndarray:
 def widened(
     error: float, weighed: np.ndarray, outside: np.ndarray, count: int, parts: int
 ) -> float:
-    """Half of a 95 % interval that the scatter of `parts` scramblings tells, with what it does not:
-    that few samples decide, and what none of `count` has seen.
+    """Half of a 95 % interval, widened for few deciding samples and for what no sample has seen.
 
-    `weighed` (samples and runs,): what each leaves beside the polynomial in the estimate's mean;
-    `outside` (runs,): the same of the runs further out without their weights. Where as many samples
-    decide as there are scramblings, their scatter tells all.
+    Args:
+        error: half interval from the scatter of the scramblings.
+        weighed: residuals beside the polynomial in the estimate's mean, shape (samples and runs,).
+        outside: the same of the runs further out without their weights, shape (runs,).
+        count: number of samples.
+        parts: number of scramblings.
     """
     squares = weighed**2
     total = float(squares.sum())
@@ -153,7 +162,15 @@ def no_score_function(problem: Problem, direction: Direction) -> str:
 def runs_at_ends(
     problem: Problem, variable: int, scramblings: int, seed: int, progress_bar: bool
 ) -> Ends | None:
-    """Runs with a variable at its ends, one for each scrambling; None where it has none."""
+    """Runs with a variable at its distribution's ends, one for each scrambling; None without ends.
+
+    Args:
+        problem: with the variables.
+        variable: its index.
+        scramblings: their number.
+        seed: of the other variables.
+        progress_bar: whether one is shown.
+    """
     distribution = problem.inputs.distributions[variable]
     densities = np.array(distribution.end_densities())
     if not densities.any():
@@ -213,8 +230,15 @@ def regressions(
     ends: Ends | None,
     outer: Outer | None,
 ) -> dict[str, Estimate]:
-    """Estimates by label of the statistics, from a sample and the runs further `outer`; these may
-    be None where the direction has no score function."""
+    """Derivatives of statistics from a sample by regression, by label.
+
+    Args:
+        sample: Monte Carlo study.
+        direction: variable and number that is differentiated by.
+        functionals: statistics that are differentiated.
+        ends: runs at the ends of the variable; None: it has none.
+        outer: runs further out; None where the direction has no score function.
+    """
     problem, i = sample.problem, direction.variable
     good = np.isin(np.arange(sample.count), sample.failed, invert=True)
     values, group = sample.values[good], sample.scrambling[good]
@@ -293,7 +317,15 @@ class Many(NamedTuple):
 
     @classmethod
     def drawn(cls, problem, direction, fit, scramblings, seed) -> "Many":
-        """As many scramblings as the sample has."""
+        """Points at which the mean derivative of a polynomial is computed.
+
+        Args:
+            problem: with the joint distribution.
+            direction: variable and number that is differentiated by.
+            fit: terms of the polynomial.
+            scramblings: number of scramblings of the sample.
+            seed: of the points.
+        """
         values = draw(problem, MANY, seed, scramblings=scramblings)
         slopes = direction.velocities(problem, values)[:, None] * fit.slopes(values)
         each = MANY // scramblings
@@ -312,7 +344,14 @@ class Ending(NamedTuple):
 
 
 def ending_of(ends: Ends, fit: LocalPolynomial, direction: Direction, one: Functional) -> Ending:
-    """The ends as the response of one statistic sees them."""
+    """What the ends of a distribution add to the derivative of one statistic.
+
+    Args:
+        ends: runs there.
+        fit: terms of the polynomial.
+        direction: variable and number that is differentiated by.
+        one: the statistic.
+    """
     speeds = np.ones(2) if direction.number is None else ends.velocities / direction.number
     basis = np.stack([fit.basis(row) for row in ends.values])
     factors = np.array([-1.0, 1.0]) * speeds * ends.densities
@@ -320,9 +359,15 @@ def ending_of(ends: Ends, fit: LocalPolynomial, direction: Direction, one: Funct
 
 
 def fitted(basis: np.ndarray, target: np.ndarray, ratio: np.ndarray | None = None) -> np.ndarray:
-    """Coefficients (terms,) of the least squares, whose equations may have weights `ratio`
-    (samples,); terms of deviations are well conditioned, so the normal equations serve, which are
-    small."""
+    """Coefficients (terms,) of weighted least squares, by normal equations.
+
+    Terms of deviations are well conditioned, so these serve.
+
+    Args:
+        basis: values of the terms, shape (samples, terms).
+        target: shape (samples,).
+        ratio: weights of the equations, shape (samples,); None: equal.
+    """
     weighed = basis if ratio is None else basis * ratio[:, None]
     return np.linalg.lstsq(weighed.T @ basis, weighed.T @ target, rcond=None)[0]
 
@@ -342,7 +387,7 @@ class Slope:
         self.residuals = np.zeros(len(basis))
         responses, inner = joined.responses[joined.inside], basis[joined.inside]
         surface = fitted(inner, responses)
-        larger = self._larger(surface, responses, inner)
+        larger = self._larger_sample(surface, responses, inner)
         self.place, self.unknown = one.place(larger), one.unknown(larger)
         self.full_influence = one.influence(larger)
 
@@ -351,7 +396,7 @@ class Slope:
         joined, inner = self.joined, mask & self.joined.inside
         y, basis = joined.responses[inner], self.basis[inner]
         influence = self.one.influence(y) if self.place is None else self.full_influence
-        step = self._step(y, basis)
+        step = self._fit_influence(y, basis)
         target, rows, ratio = (
             influence(joined.responses[mask]), step(self.basis[mask]), joined.ratio[mask],
         )  # fmt: skip
@@ -374,7 +419,7 @@ class Slope:
         """How the slope of what was fitted differs between the scramblings of the many points."""
         return self.last
 
-    def _step(self, y, basis):
+    def _fit_influence(self, y, basis):
         """What is fitted to the influence function, from the polynomial's terms, or by its slopes:
         these terms, and for a share of parts a smooth step where the surface passes its limit."""
         place, surface = self.place, fitted(basis, y)
@@ -393,7 +438,7 @@ class Slope:
 
         return columns
 
-    def _larger(self, surface, responses, basis) -> np.ndarray:
+    def _larger_sample(self, surface, responses, basis) -> np.ndarray:
         """A larger sample like this one where the surface explains it: what it leaves, spread over
         many points; the sample itself elsewhere."""
         residuals = responses - basis @ surface

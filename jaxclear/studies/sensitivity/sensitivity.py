@@ -122,7 +122,7 @@ def sensitivity(
             if place not in ends:
                 ends[place] = runs_at_ends(problem, place, parts, seed_of(seed, SEEDS, 3), **bar)
             answers["regression"] = regressions(drawn, direction, estimands, ends[place], outer)
-        sampled = lambda d: _shared(problem, difference_samples, seed_of(seed, SEEDS, d))
+        sampled = lambda d: _draw_sample(problem, difference_samples, seed_of(seed, SEEDS, d))
         if "pathwise" in methods:
             answers["pathwise"] = pathwise(problem, sampled(2), direction, estimands, **bar)
         if "differences" in methods:
@@ -188,7 +188,7 @@ def _merge(every: dict[Direction, dict], goals: list[Functional], drawn: MonteCa
     return Sensitivity(derivatives, drawn, units)
 
 
-def _shared(problem: Problem, samples: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+def _draw_sample(problem: Problem, samples: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """A sample of a method's own: values (samples, variables) and scramblings (samples,)."""
     parts = SCRAMBLINGS if samples >= 4 * SCRAMBLINGS else usual_scramblings(samples)
     return draw(problem, samples, seed, scramblings=parts), groups(samples, parts)

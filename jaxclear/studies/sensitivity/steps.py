@@ -35,7 +35,7 @@ def error_by_steps(
     values, finer = replicas.coarse[one.response], replicas.responses[one.response]
     good = np.isfinite(values) & np.isfinite(finer)
     values, finer = values[good], finer[good]
-    terms, mean_slopes = _terms(sample, direction)
+    terms, mean_slopes = _plane_terms(sample, direction)
     terms = terms[: len(good)][good]
     freedom = len(terms) - terms.shape[1]
     if freedom < 1:
@@ -56,7 +56,7 @@ def error_by_steps(
     return NumericalError(share * bias, share * uncertainty, error, len(values))
 
 
-def _terms(sample: MonteCarlo, direction: Direction) -> tuple[np.ndarray, np.ndarray]:
+def _plane_terms(sample: MonteCarlo, direction: Direction) -> tuple[np.ndarray, np.ndarray]:
     """A plane in all variables, bent along that of the direction: its terms (samples, terms), and
     the means of their slopes along the direction (terms,)."""
     problem, i = sample.problem, direction.variable

@@ -23,7 +23,16 @@ Piece = tuple[dict[str, np.ndarray], np.ndarray]
 def parse_accuracy(
     accuracy: Any, responses: tuple[str, ...], owner: str = "monte_carlo"
 ) -> Goals | None:
-    """What a user asks of the means. Raises `ValueError` with a sentence."""
+    """Required accuracies of means, by response; None for none.
+
+    Args:
+        accuracy: one number [1] for all, or numbers in units by response.
+        responses: their names.
+        owner: function in messages.
+
+    Raises:
+        ValueError: a name is unknown, or a number not above 0.
+    """
     if accuracy is None:
         return None
     if not isinstance(accuracy, Mapping):
@@ -37,38 +46,21 @@ def parse_accuracy(
 
 def missed_accuracies(request: Goals, pieces: Iterable[Piece]) -> dict[str, tuple[float, float]]:
     """(half of the 95 % interval, what was asked) of each mean that is not known well enough, of a
-    sample that comes in pieces, one in memory at a time."""
-    sums = {name: np.zeros((3, 0)) for name in request[0]}
+    sample that comes in pieces."""
+    columns: dict[str, list[tuple[np.ndarray, np.ndarray]]] = {name: [] for name in request[0]}
     for responses, group in pieces:
-        sums = {name: _added(previous, responses[name], group) for name, previous in sums.items()}
+        for name, column in columns.items():
+            good = np.isfinite(responses[name])
+            column.append((responses[name][good], group[good]))
     short = {}
     for name, target in request[0].items():
-        parts = sums[name].T[sums[name][0] > 0]
-        half = jackknifed(_mean, parts, np.arange(len(parts))).error if len(parts) > 1 else np.inf
-        count, _, squares = parts.sum(axis=0)
-        size = float(np.sqrt(squares / count)) if request[1] and count else 1.0
+        values, group = (np.concatenate(part) for part in zip(*columns[name], strict=True))
+        half = jackknifed(np.mean, values, group).error if len(values) > 1 else np.inf
+        size = float(np.sqrt(np.mean(values**2))) if request[1] and len(values) else 1.0
         # A response that is always zero is known.
         if not half <= target * size:
             short[name] = half, target * size
     return short
-
-
-def _added(sums: np.ndarray, values: np.ndarray, group: np.ndarray) -> np.ndarray:
-    """Number, sum and sum of squares (3, scramblings) of a response, and those of more samples:
-    finite values (samples,) of scramblings `group` (samples,)."""
-    good = np.isfinite(values)
-    more, place = values[good], group[good]
-    width = max(sums.shape[1], int(place.max(initial=-1)) + 1)
-    padded = np.pad(sums, ((0, 0), (0, width - sums.shape[1])))
-    # What is known comes first: all is added in the order of the samples, whatever the pieces.
-    place = np.concatenate([np.arange(width), place])
-    pairs = zip(padded, (np.ones_like(more), more, more**2), strict=True)
-    return np.stack([np.bincount(place, np.concatenate(pair), width) for pair in pairs])
-
-
-def _mean(parts: np.ndarray) -> float:
-    """Mean of all samples whose sums are in these rows (scramblings, 3)."""
-    return float(parts[:, 1].sum() / parts[:, 0].sum())
 
 
 def unreached(short: dict[str, tuple[float, float]]) -> str:
@@ -139,9 +131,17 @@ def bias_of(
     share: float,
     statistic: Callable[[np.ndarray], float] = np.mean,
 ) -> tuple[float, float]:
-    """By how much a statistic is too large, and half of the 95 % interval of that: of what samples
-    (pairs,) gave, and `finer` runs of theirs with steps of a `share` [1]. The interval is that of
-    leaving out one pair after the other; of a mean that is Student's of the differences."""
+    """Bias of a statistic by the discretisation of runs, and half of its 95 % interval.
+
+    The interval is that of leaving out one pair after the other; of a mean, Student's of the
+    differences.
+
+    Args:
+        values: of samples, shape (pairs,).
+        finer: of their finer runs, shape (pairs,).
+        share: steps of the finer runs over those of the others [1].
+        statistic: function of values.
+    """
     count = len(values)
     difference = lambda mask: (statistic(values[mask]) - statistic(finer[mask])) / (1 - share)
     bias = float(difference(np.ones(count, bool))) if count else np.nan

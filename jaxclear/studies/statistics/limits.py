@@ -16,7 +16,14 @@ import scipy
 from jaxclear.ground.arguments import check_name, check_number, expect
 from jaxclear.ground.printing import with_text_repr
 from jaxclear.ground.wording import described
-from jaxclear.studies.statistics.scrambled import Statistic, deviation, jackknifed, quantile, share
+from jaxclear.studies.statistics.scrambled import (
+    Statistic,
+    contributions_to_moments,
+    deviation,
+    jackknifed,
+    quantile,
+    share,
+)
 
 # (low, high) of a response in its unit, None for no limit.
 Limits = tuple[float | None, float | None]
@@ -59,8 +66,16 @@ def yield_of(
     failed: np.ndarray,
     group: np.ndarray,
 ) -> Statistic:
-    """Share of samples that keep all limits. Failed ones are unknown: outside at the lower end of
-    the interval, inside at its upper."""
+    """Share of samples that keep all limits.
+
+    Failed samples count as outside at the lower end of the interval, as inside at its upper.
+
+    Args:
+        responses: by name, shape (samples,).
+        limits: lower and upper one of each response.
+        failed: indices of samples that failed.
+        group: scrambling of each sample.
+    """
     inside = np.all([within(responses[name], pair) for name, pair in limits.items()], axis=0)
     good = np.setdiff1d(np.arange(len(group)), failed)
     ratio = share(inside[good], group[good])
@@ -93,7 +108,14 @@ class ToleranceInterval(NamedTuple):
 
 @functools.lru_cache(maxsize=256)
 def normal_factor(samples: int, content: float, confidence: float, both: bool) -> float:
-    """Factor [1] of the standard deviation of so many samples of a normal variable."""
+    """Factor of the standard deviation in a tolerance interval of a normal variable [1].
+
+    Args:
+        samples: their number.
+        content: share of all parts within the limits [1].
+        confidence: probability of that [1].
+        both: whether the interval has two limits.
+    """
     free = samples - 1
     if not both:
         shift = scipy.special.ndtri(content) * np.sqrt(samples)
@@ -116,12 +138,19 @@ def normal_factor(samples: int, content: float, confidence: float, both: bool) -
 def normal_interval(
     values: np.ndarray, group: np.ndarray, content: float, confidence: float, side: str
 ) -> ToleranceInterval:
-    """Of a normal response."""
+    """Tolerance interval of a normal response.
+
+    Args:
+        values: of the response, shape (samples,).
+        group: scrambling of each sample.
+        content, confidence, side: as of `MonteCarlo.tolerance_interval`.
+    """
     factor = normal_factor(len(values), content, confidence, side == "both")
 
     def limit(sign: float) -> Statistic:
         at = lambda numbers, parts: numbers.mean() + sign * factor * deviation(numbers, parts)
-        return jackknifed(at, values, group, skewed=True, grouped=True)
+        contributions = contributions_to_moments(values, sign * factor)
+        return jackknifed(at, values, group, contributions, grouped=True)
 
     return _sided(limit(-1.0), limit(1.0), content, confidence, side)
 
@@ -129,8 +158,16 @@ def normal_interval(
 def free_interval(
     values: np.ndarray, group: np.ndarray, content: float, confidence: float, side: str
 ) -> ToleranceInterval:
-    """Of a response of any distribution, between two of the samples. Raises `ValueError` where the
-    samples are too few, with how many are needed."""
+    """Tolerance interval of a response of any distribution, between two of the samples.
+
+    Args:
+        values: of the response, shape (samples,).
+        group: scrambling of each sample.
+        content, confidence, side: as of `MonteCarlo.tolerance_interval`.
+
+    Raises:
+        ValueError: the samples are too few, with how many are needed.
+    """
     count = len(values)
     omitted = np.arange(1, count // 2 + 1)
     # The content between ordered samples follows a beta distribution.
@@ -152,7 +189,11 @@ def free_interval(
 
 
 def fewest(content: float, confidence: float, side: str) -> int:
-    """The fewest samples that give an interval without a distribution."""
+    """The fewest samples that give a tolerance interval without a distribution.
+
+    Args:
+        content, confidence, side: as of `MonteCarlo.tolerance_interval`.
+    """
     outside = 2 if side == "both" else 1
     sure = lambda count: scipy.special.betaincc(count + 1 - outside, outside, content) >= confidence
     high = 2 * outside

@@ -4,13 +4,15 @@ Means, standard deviations and all that is made of them are taken from the whole
 error from leaving out one scrambling after the other (a jackknife of groups): right for correlated
 points within a scrambling, for smooth functions of means. The interval of a quantile is that of the
 share of samples below it, read off as quantiles (Woodruff). All intervals are Student's, 95 %;
-where contributions are skewed, as squares are, the farther end is moved by what skewness adds.
+where contributions are skewed, as squares are, the farther end is moved by what skewness adds. Few
+scramblings tell of it less than all samples, where their contributions are known.
 
 Source: jackknife of groups: Miller 1974, Biometrika 61, 1, doi:10.1093/biomet/61.1.1; skewness:
-Johnson 1978, J. Am. Stat. Assoc. 73, 536, doi:10.1080/01621459.1978.10480051; quantiles: Woodruff
-1952, J. Am. Stat. Assoc. 47, 635, doi:10.1080/01621459.1952.10483443; smooth ones: Harrell & Davis
-1982, Biometrika 69, 635, doi:10.1093/biomet/69.3.635; shares of which few samples tell: Clopper &
-Pearson 1934, Biometrika 26, 404, doi:10.1093/biomet/26.4.404.
+Johnson 1978, J. Am. Stat. Assoc. 73, 536, doi:10.1080/01621459.1978.10480051, to second order Hall
+1983, Ann. Stat. 11, 569, doi:10.1214/aos/1176346162; quantiles: Woodruff 1952, J. Am. Stat. Assoc.
+47, 635, doi:10.1080/01621459.1952.10483443; smooth ones: Harrell & Davis 1982, Biometrika 69, 635,
+doi:10.1093/biomet/69.3.635; shares of which few samples tell: Clopper & Pearson 1934, Biometrika
+26, 404, doi:10.1093/biomet/26.4.404.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -86,8 +88,13 @@ def half_width(parts: np.ndarray) -> float:
 def standard_error(
     statistic: Callable[[np.ndarray], float], values: np.ndarray, group: np.ndarray
 ) -> tuple[float, int]:
-    """Standard error of a statistic of `values` (samples,) whose scramblings are `group`
-    (samples,), and how many scramblings tell it."""
+    """Standard error of a statistic, and the number of scramblings from which it is.
+
+    Args:
+        statistic: function of values.
+        values: shape (samples,).
+        group: scrambling of each sample.
+    """
     parts = pseudo_values(lambda mask: statistic(values[mask]), group)
     count = len(parts)
     return float(parts.std(ddof=1) / np.sqrt(count)) if count > 1 else np.nan, count
@@ -108,11 +115,19 @@ def jackknifed(
     statistic: Callable[..., float],
     values: np.ndarray,
     group: np.ndarray,
-    skewed: bool = False,
+    contributions: np.ndarray | None = None,
     grouped: bool = False,
 ) -> Statistic:
-    """A smooth function of means over the sample, with its interval; `skewed`: of no mean, so that
-    contributions may be; `grouped`: the function takes the scramblings beside the values."""
+    """A smooth function of means over the sample, with its interval.
+
+    Args:
+        statistic: function of values, and of scramblings where `grouped`.
+        values: shape (samples,) or (samples, columns).
+        group: scrambling of each sample.
+        contributions: of samples to the statistic, to a factor and a summand, shape (samples,), as
+            those to a mean are; None: unknown.
+        grouped: whether the function takes the scramblings as well.
+    """
     if len(values) < 2:
         return UNKNOWN
     of = statistic if grouped else lambda values, group: statistic(values)
@@ -120,37 +135,63 @@ def jackknifed(
     parts = pseudo_values(lambda mask: of(values[mask], group[mask]), group)
     if len(parts) < 2 or not np.all(np.isfinite(parts)):
         return Statistic(value, -np.inf, np.inf)
-    half = half_width(parts)
-    far = skewed_half(parts) if skewed else half
-    low, high = (half, far) if np.mean((parts - parts.mean()) ** 3) > 0 else (far, half)
-    return Statistic(value, value - low, value + high)
+    below, above = half_widths(parts, values if statistic is np.mean else contributions)
+    return Statistic(value, value - below, value + above)
 
 
-def skewed_half(parts: np.ndarray) -> float:
-    """How far the farther end of the 95 % interval of the mean of contributions (scramblings,) is
-    away, to the first order of their skewness: of that beyond what few normal ones would show."""
-    count, spread = len(parts), float(parts.std(ddof=1))
-    times = student(count)
-    half = times * spread / np.sqrt(count)
+def half_widths(parts: np.ndarray, contributions: np.ndarray | None = None) -> tuple[float, float]:
+    """How far the ends of the 95 % interval of the mean of contributions of scramblings (parts,)
+    lie below and above it, by their skewness: what few of them show beyond what normal ones would,
+    to first order (Johnson), and what the `contributions` (samples,) of all samples do, which show
+    it better, to second (Hall), as of parts with a gamma distribution; even points are taken to be
+    as skewed as independent ones."""
+    count, spread, half = len(parts), float(parts.std(ddof=1)), half_width(parts)
     # What differs by rounding only has no shape.
     if spread <= ROUNDING * abs(float(parts.mean())) or count < 3:
-        return half
+        return half, half
+    times = student(count)
+
+    def far(skewness: float) -> float:
+        return half + abs(skewness) * spread * (2 * times**2 + 1) / (6 * count)
+
     chance = 6 * count * (count - 1) / ((count - 2) * (count + 1) * (count + 3))
-    away = parts - parts.mean()
-    shape = np.mean(away**2 * away) / np.mean(away**2) ** 1.5
-    shape *= np.sqrt((count - 1) * count) / (count - 2)
-    skewness = np.sqrt(max(float(shape) ** 2 - chance, 0.0))
-    return half + skewness * spread * (2 * times**2 + 1) / (6 * count)
+    skewness = skewness_of(parts) * np.sqrt((count - 1) * count) / (count - 2)
+    end = far(np.sqrt(max(skewness**2 - chance, 0.0)))
+    below, above = (half, end) if skewness > 0 else (end, half)
+    if contributions is None or len(contributions) < 3:
+        return below, above
+    if contributions.std() <= ROUNDING * abs(float(contributions.mean())):
+        return below, above
+    skewness = skewness_of(contributions) * np.sqrt(count / len(contributions))
+    z = float(scipy.special.ndtri(0.5 + 0.5 * CONFIDENCE))
+    # 11/72: 5/18 by the square of skewness, less 1/8 by a gamma distribution's kurtosis.
+    end = far(skewness) + 11 / 72 * skewness**2 * z * (z**2 + 2) * spread / count**1.5
+    return (below, max(above, end)) if skewness > 0 else (max(below, end), above)
+
+
+def skewness_of(numbers: np.ndarray) -> float:
+    """Skewness [1] of numbers, of which not all are the same."""
+    away = numbers - numbers.mean()
+    return float(np.mean(away**2 * away) / np.mean(away**2) ** 1.5)
+
+
+def contributions_to_moments(values: np.ndarray, deviations: float) -> np.ndarray:
+    """Contributions (samples,) to the mean of values plus so many standard deviations."""
+    spread = float(values.std())
+    away = values - values.mean()
+    return values + deviations * away**2 / (2 * spread) if spread > 0 else values
 
 
 def deviation_of_moments(
     first: np.ndarray, second: np.ndarray, extra_variance: float = 0.0
 ) -> tuple[float, float]:
-    """A standard deviation and half of its 95 % interval from contributions (scramblings,) to the
-    first and second moment about one place; `extra_variance` is the variance of what else the
-    second holds.
+    """A standard deviation and half of its 95 % interval, from contributions to two moments.
 
     Squares of means are products of different scramblings, so that the variance has no bias.
+
+    Args:
+        first, second: contributions to the moments about one place, shape (scramblings,).
+        extra_variance: variance of further parts of the second moment.
     """
     count = len(first)
 
@@ -159,7 +200,7 @@ def deviation_of_moments(
         return second[mask].mean() - (one.sum() ** 2 - (one**2).sum()) / (n * (n - 1))
 
     full, each = variance(np.ones(count, bool)), np.arange(count)
-    half = skewed_half(pseudo_values(variance, each))
+    half = max(half_widths(pseudo_values(variance, each)))
     half = float(np.hypot(half, student(count) * np.sqrt(extra_variance)))
     root = float(np.sqrt(max(full, 0.0)))
     return root, half / (2 * root) if root > 0 else np.inf
@@ -200,7 +241,13 @@ def ordinary_quantile(values: np.ndarray, share: float) -> float:
 
 
 def quantile(values: np.ndarray, group: np.ndarray, share: float) -> Statistic:
-    """The value that a share [1] of the responses does not exceed, with its interval."""
+    """The value that a share of the responses does not exceed, with its interval.
+
+    Args:
+        values: shape (samples,).
+        group: scrambling of each sample.
+        share: [1].
+    """
     count = len(values)
     if count < 2:
         return UNKNOWN
@@ -261,13 +308,17 @@ def capability(low: float | None, high: float | None) -> Callable[..., float]:
 def error_budget(
     values: np.ndarray, responses: np.ndarray, group: np.ndarray, groups: Mapping[str, Any]
 ) -> dict[str, Statistic]:
-    """Parts of the variance [response's unit squared] by variable, of `values` (samples,
-    variables) and `responses` (samples,), the rest last; they sum to the variance. `groups`: the
-    places of the numbers of each variable.
+    """Parts of the variance of a response by variable, the rest last; they sum to the variance.
 
     A plane through the responses has a slope by every variable; slope times deviation, squared, is
-    that variable's part. The remainder (curvature, interactions, chaos) stands beside them.
-    Of correlated variables a part holds half of what each pair shares, and may be negative.
+    that variable's part. The rest holds curvature, interactions and chaos. Of correlated variables
+    a part holds half of what each pair shares, and may be negative.
+
+    Args:
+        values: of the variables, shape (samples, variables).
+        responses: shape (samples,).
+        group: scrambling of each sample.
+        groups: columns of the numbers of each variable.
     """
 
     def part(which: list[int]) -> Any:

@@ -66,8 +66,8 @@ class ShapleyEffects(AbstractAnswer):
     warnings: tuple[str, ...] = eqx.field(static=True, default=())
 
     def sentence(self) -> str:
-        """Which variables lead the variance of each response, what a surface leaves out, and how
-        many samples failed."""
+        """Which variables contribute most to the variance of each response, what a surface leaves
+        out, and how many samples failed."""
         led = leading(self.effects, "Shapley effect")
         return " ".join(
             filter(None, [led, self.remark, failed_samples_sentence(self.failed, "sample")])

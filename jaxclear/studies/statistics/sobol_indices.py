@@ -65,7 +65,8 @@ class SobolIndices(AbstractAnswer):
     warnings: tuple[str, ...] = eqx.field(static=True, default=())
 
     def sentence(self) -> str:
-        """Which variables lead the variance of each response, and how many base samples failed."""
+        """Which variables contribute most to the variance of each response, and how many base
+        samples failed."""
         led = leading(self.total, "total index")
         return " ".join(filter(None, [led, failed_samples_sentence(self.failed, "base sample")]))
 
@@ -176,14 +177,14 @@ def leading(shares: Mapping[tuple[str, str], Statistic], what: str) -> str:
         table = {variable: share for (name, variable), share in shares.items() if name == response}
         ranking = [(share.value, variable) for variable, share in table.items() if share.value > 0]
         if not ranking:
-            sentences.append(f'"{response}" has no variance that is shared out.')
+            sentences.append(f'"{response}" does not vary with any variable.')
             continue
         first = table[max(ranking)[1]]
         level = [variable for _, variable in sorted(ranking, reverse=True)]
         level = [name for name in level if table[name] is first or table[name].high >= first.low]
-        text = " and ".join(f'"{name}" ({table[name]})' for name in level)
-        verb = "leads" if len(level) == 1 else "lead"
-        sentences.append(f'{text} {verb} the variance of "{response}" by {what}.')
+        text = " and ".join(f'"{name}" ({what} {table[name]})' for name in level)
+        verb = "contributes" if len(level) == 1 else "contribute"
+        sentences.append(f'{text} {verb} most to the variance of "{response}".')
     return " ".join(sentences)
 
 
@@ -199,8 +200,15 @@ def refuse_part_of_spread(surface: ResponseSurface, outside: np.ndarray) -> None
 
 
 def open_share(surface: ResponseSurface, name: str, variance: float) -> tuple[float, float]:
-    """Which share [1] of the variance of a response a surface leaves open, which may belong to any
-    variable, and which its own `variance` is; 0 and 0 of a response that does not vary."""
+    """(share of the variance that a surface leaves unexplained, share that it explains) [1].
+
+    Both are 0 for a response that does not vary.
+
+    Args:
+        surface: with its error.
+        name: of the response.
+        variance: of the surface.
+    """
     error, values = surface.error(name) ** 2, surface.responses[name]
     if np.ptp(values) <= ROUNDING * np.abs(values).max():
         return 0.0, 0.0
@@ -258,7 +266,7 @@ def _share(parts: _Parts | None, place: int) -> Statistic:
 
     each = np.arange(len(parts.samples))
     plain, spread, clipped = (
-        jackknifed(of, np.column_stack([row[:, [place, -2, -1]], parts.samples]), each, skewed=True)
+        jackknifed(of, np.column_stack([row[:, [place, -2, -1]], parts.samples]), each)
         for row in parts[:3]
     )
     beyond = abs(spread.value - clipped.value)

@@ -27,7 +27,13 @@ PERCENTILES = {"5 %": 0.05, "median": 0.5, "95 %": 0.95}
 
 
 def summary_row(study: Any, name: str, limits: Mapping[str, Limits]) -> dict[str, Any]:
-    """The row of a response in the summary of a study (`MonteCarlo`)."""
+    """The row of a response in the summary of a study.
+
+    Args:
+        study: a `MonteCarlo`.
+        name: of the response.
+        limits: by response; those of this one give its yield.
+    """
     values, group = study.good(name)
     warned = study.affected_samples(name)
     clean = np.setdiff1d(np.setdiff1d(np.arange(study.count), study.failed), warned)
@@ -111,9 +117,9 @@ def summary_of(rows: list[dict[str, Any]]) -> Any:
 
 
 def coverage_of_deviation(values: np.ndarray) -> float:
-    """How often, about, a 95 % interval of a standard deviation holds it, by the skewness and
-    kurtosis of the squares that it is the mean of: the second term of Edgeworth's expansion of
-    Student's statistic. Of what few samples decide, that is far less.
+    """How often, about, Student's 95 % interval of a standard deviation holds it, by the skewness
+    and kurtosis of the squares that it is the mean of: the second term of Edgeworth's expansion. Of
+    what few samples decide, that is far less; an interval that counts skewness holds it more often.
 
     Source: Hall 1988, Ann. Stat. 16, 927, doi:10.1214/aos/1176350933, section 2 (two-sided).
     """

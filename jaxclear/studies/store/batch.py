@@ -60,7 +60,13 @@ def evaluate_chunk(problem: Problem, values: Float[Array, "samples variables"]) 
 
 @eqx.filter_jit
 def uses_lapack(function, problem, values):
-    """What the function of a chunk gives, and whether its program calls LAPACK."""
+    """Results of a chunk, and whether their program calls LAPACK.
+
+    Args:
+        function: of a problem and values.
+        problem: that is run.
+        values: shape (samples, variables).
+    """
     result = function(problem, values)
     return result, calls_lapack(*jax.tree.leaves(result))
 
@@ -87,8 +93,12 @@ def usual_batch(problem: Problem) -> int:
 
 
 def chunk_size(problem: Problem, samples: int, chunk: int | None = None) -> int:
-    """Samples a chunk: those wanted, or else all threads busy and no chunk above the memory set
-    aside for it.
+    """Samples of a chunk, such that all threads are busy and memory suffices.
+
+    Args:
+        problem: says what a sample costs.
+        samples: their number.
+        chunk: as requested; None: chosen.
     """
     if chunk is not None:
         return min(chunk, samples)
@@ -107,9 +117,15 @@ def _mapped(function: Callable[[Array], Any], values: Float[Array, "samples vari
 def sample_of_chunk(
     function: Callable[[Array], Any], values: Float[Array, " variables"], index: int, chunk: int
 ) -> Any:
-    """What a function of one sample, a method of a problem, gives for sample `index` of a study in
-    chunks of this size, bit for bit as it was there: in the same lane of the same kernel, between
-    copies of itself.
+    """What a function gives for one sample of a study in chunks, bit for bit as it was there.
+
+    The sample is computed in the same lane of the same kernel, between copies of itself.
+
+    Args:
+        function: of one sample, a method of a problem.
+        values: of the sample.
+        index: of the sample in the study.
+        chunk: samples of a chunk.
     """
     with stoppable():
         result = _mapped(function, jnp.tile(values, (chunk, 1)))
@@ -128,15 +144,23 @@ class Program:
         self.problem = problem
         many = wide and devices() > 1
         self._function = _on_each if many else function
-        self._laid_out = _on_all_devices if many else jnp.asarray
+        self._laid_out = _split_over_devices if many else jnp.asarray
         self._compiling, self._alone = threading.Lock(), threading.Lock()
         # By size of chunks: what computes them, and whether it calls LAPACK.
         self._prepared: dict[int, Prepared] = {}
 
     def run(self, values: np.ndarray, before: int, single_use: bool = False) -> Any:
-        """What a chunk gives, on the host; `single_use`: no other follows. Raises `Stopped` where
-        runs were stopped more often than `before`."""
-        program = self._program(values, single_use)
+        """Results of a chunk, on the host.
+
+        Args:
+            values: shape (chunk, variables).
+            before: number of interrupts when the study began.
+            single_use: whether no other chunk follows.
+
+        Raises:
+            Stopped: runs were interrupted since.
+        """
+        program = self._find_program(values, single_use)
         # Programs that call LAPACK go one by one (a user's response may; see `calls_lapack`).
         with self._alone if program.lapack else nullcontext():
             result = jax.tree.map(np.asarray, program.call(values))
@@ -146,9 +170,9 @@ class Program:
 
     def compiled(self, values: np.ndarray) -> bool:
         """Compiles the program for chunks like this; whether it calls LAPACK."""
-        return self._program(values).lapack
+        return self._find_program(values).lapack
 
-    def _program(self, values: np.ndarray, single_use: bool = False) -> Prepared:
+    def _find_program(self, values: np.ndarray, single_use: bool = False) -> Prepared:
         with self._compiling:
             program = self._prepared.get(len(values))
             if program is None:
@@ -178,7 +202,7 @@ def _mesh() -> Mesh:
     return Mesh(np.array(jax.local_devices()), ("samples",))
 
 
-def _on_all_devices(values: np.ndarray) -> Array:
+def _split_over_devices(values: np.ndarray) -> Array:
     return jax.device_put(values, NamedSharding(_mesh(), PartitionSpec("samples")))
 
 
@@ -198,8 +222,15 @@ def _on_each(problem: Problem, values: Float[Array, "samples variables"]) -> Sam
 def side_by_side(
     one: Callable[[int], Any], numbers: Iterable[int], heard: Callable[[int, Any], None]
 ) -> None:
-    """Does `one` thing for each number, in threads, and tells of each in their order. Interrupted,
-    it ends what is in work, and the machine is idle when the user has the word again."""
+    """Calls a function for each number in threads, and reports results in their order.
+
+    An interrupt ends the work in progress before it reaches the user.
+
+    Args:
+        one: function of a number.
+        numbers: in the order of reports.
+        heard: function of a number and its result.
+    """
     numbers = list(numbers)
     # Several devices are busy side by side as it is.
     threads = threads_of() if devices() == 1 else 1
@@ -219,9 +250,16 @@ def side_by_side(
 def in_turn(
     one: Callable[[int], Any], numbers: Iterable[int], heard: Callable[[int, Any], None]
 ) -> None:
-    """As `side_by_side`, in the caller's thread. What samples that are no compiled program run may
-    call LAPACK (see `calls_lapack`), which is not known before, and so each of their runs hears
-    Ctrl-C."""
+    """As `side_by_side`, in the caller's thread.
+
+    It serves samples that are no compiled program: they may call LAPACK, which is not known before,
+    and each of their runs reacts to Ctrl-C.
+
+    Args:
+        one: function of a number.
+        numbers: in the order of reports.
+        heard: function of a number and its result.
+    """
     for number in numbers:
         heard(number, one(number))
 
@@ -232,7 +270,14 @@ def until_all(
     heard: Callable[[int, Any], None],
     run: Callable[..., None] = side_by_side,
 ) -> None:
-    """As `side_by_side`; what `one` gives None for, as another process is at it, once more."""
+    """As `side_by_side`, repeated for numbers at which another process works.
+
+    Args:
+        one: function of a number; None: another process is at it.
+        numbers: in the order of reports.
+        heard: function of a number and its result.
+        run: `side_by_side` or `in_turn`.
+    """
     remaining = list(numbers)
     while remaining:
         busy: list[int] = []
@@ -249,8 +294,13 @@ def until_all(
 
 
 def pack(names: Sequence[str], values: Any, result: SampleResult) -> tuple[dict, dict[str, Any]]:
-    """Arrays of samples of these values (samples, variables), by column, and what a chunk says of
-    them. `names`: of their responses."""
+    """Arrays of samples by column, and a description of them, as a store holds them.
+
+    Args:
+        names: of the responses.
+        values: of the variables, shape (samples, variables).
+        result: of the samples.
+    """
     rows = np.array([result.responses[name] for name in names], float)
     checks = result.checks
     columns = {
@@ -266,7 +316,13 @@ def pack(names: Sequence[str], values: Any, result: SampleResult) -> tuple[dict,
 
 
 def unpack(names: Sequence[str], figures: Any, columns: Mapping[str, Any]) -> SampleResult:
-    """The samples of these columns, whose chunks say that these are their `figures`."""
+    """The samples of stored columns.
+
+    Args:
+        names: of the responses.
+        figures: (check, place) of each column of checks.
+        columns: arrays by name.
+    """
     grouped = itertools.groupby(figures, key=lambda figure: figure[0])
     named = tuple((Check[check], tuple(place for _, place in places)) for check, places in grouped)
     return SampleResult(
@@ -328,9 +384,19 @@ def evaluate_all(
     label: str = "samples",
     function=evaluate_chunk,
 ) -> SampleResult:
-    """Outcomes of samples of these values (samples, variables), in their order; arrays on the host.
-    What the current store holds is not computed; what it lacks is kept there, each chunk as it is
-    finished, and computed by one process of those that share the folder."""
+    """Results of samples, in their order; arrays on the host.
+
+    What the current store holds is not computed; what it lacks is saved, each chunk as it is
+    finished, and computed by one of the processes that share the folder.
+
+    Args:
+        problem: that is run.
+        values: of the variables, shape (samples, variables).
+        chunk: samples computed together; None: chosen.
+        progress_bar: whether one is shown.
+        label: of the progress bar.
+        function: of a problem and the values of a chunk.
+    """
     check_double_precision()
     samples, values, store = len(values), np.asarray(values), CURRENT.get()
     # Any other function of a chunk is a compiled program, which a problem that is none refuses.

@@ -99,17 +99,17 @@ def campaign(
         options = {name: value for name, value in arguments.items() if value is not None}
         return _run_study(study, problem, folder, options, settings)
     samples, seed = 1024 if samples is None else samples, 0 if seed is None else seed
-    plan = _plan(problem, samples, seed, settings)
+    plan = _make_plan(problem, samples, seed, settings)
     accuracy = parse_accuracy(settings.get("accuracy"), problem.response_names, "campaign")
     checked = ("seed", "sampling", "scramblings")[: 2 + ("scramblings" in settings)]
     check_folder(folder)
     try:
-        with _workers(problem, client) as work:
-            stored = _begin(problem, plan, checked, samples, folder)
+        with _make_workers(problem, client) as work:
+            stored = _open_samples(problem, plan, checked, samples, folder)
             # The plan first: whatever ends the process from here on, the folder knows what was
             # asked of it.
             if accuracy is None:
-                stored = _enlarge(stored, samples, samples, problem)
+                stored = _enlarge_plan(stored, samples, samples, problem)
             if len(stored.finished()):
                 stored.warn_of_versions()
             run, short = _Run(work, stored, samples, progress_bar), ""
@@ -119,11 +119,11 @@ def campaign(
                 first = max(plan.samples, stored.plan.samples)
                 short = until_accurate(problem, first, samples, accuracy, run.grown)
             if verify:
-                _verify(run.stored, work)
+                _add_replicas(run.stored, work)
             run.stored.conclude()
             return Campaign(run.stored, problem, short)
     except KeyboardInterrupt:
-        raise KeyboardInterrupt(_interrupted(folder)) from None
+        raise KeyboardInterrupt(_interrupted_sentence(folder)) from None
 
 
 @answering
@@ -171,7 +171,7 @@ def _run_study(
 
 
 @contextmanager
-def _workers(problem: Problem, client: Any) -> Iterator[AbstractWork]:
+def _make_workers(problem: Problem, client: Any) -> Iterator[AbstractWork]:
     """Who computes: the threads here, or the workers of a client."""
     if client is None:
         yield Threads(problem)
@@ -184,7 +184,7 @@ def _workers(problem: Problem, client: Any) -> Iterator[AbstractWork]:
         workers.close()
 
 
-def _plan(problem: Any, samples: Any, seed: Any, settings: dict[str, Any]) -> Plan:
+def _make_plan(problem: Any, samples: Any, seed: Any, settings: dict[str, Any]) -> Plan:
     """The plan to begin with. Raises `ValueError` or `TypeError` with a sentence."""
     for name in settings:
         if name not in SAMPLED:
@@ -207,7 +207,7 @@ def _plan(problem: Any, samples: Any, seed: Any, settings: dict[str, Any]) -> Pl
     return planned(problem, (first, seed, sampling, parts), chunk, samples)
 
 
-def _begin(
+def _open_samples(
     problem: Problem, plan: Plan, checked: tuple[str, ...], most: int, folder: Any
 ) -> Samples:
     """The samples in a folder, which is told of them where there are none. `checked`: what of a
@@ -229,7 +229,7 @@ def _begin(
     return created
 
 
-def _enlarge(stored: Samples, samples: int, most: int, problem: Problem) -> Samples:
+def _enlarge_plan(stored: Samples, samples: int, most: int, problem: Problem) -> Samples:
     """The same with room for so many samples; for more, up to the `most`, where other processes
     have planned these."""
     if stored.plan.samples >= samples:
@@ -246,13 +246,13 @@ class _Run:
 
     def grow(self, samples: int) -> None:
         """Has so many samples in the folder, and computes those that it lacks."""
-        self.stored = _enlarge(self.stored, samples, self.most, self.by.problem)
+        self.stored = _enlarge_plan(self.stored, samples, self.most, self.by.problem)
         plan = self.stored.plan
         remaining = np.setdiff1d(np.arange(plan.chunks), self.stored.finished()).tolist()
         if missing := self.stored.describe_missing(remaining):
             warn(missing)
         if remaining:
-            with _progress(self.show_bar, plan, remaining) as heard:
+            with _make_progress(self.show_bar, plan, remaining) as heard:
                 self.by.compute(self.stored, remaining, heard)
 
     def grown(self, samples: int) -> Iterator[Piece]:
@@ -268,7 +268,7 @@ class _Run:
             yield {name: rows[:, i] for i, name in enumerate(names)}, group
 
 
-def _verify(samples: Samples, by: AbstractWork) -> None:
+def _add_replicas(samples: Samples, by: AbstractWork) -> None:
     """Adds the replicas that the finished samples in a folder lack, if their problem has any:
     finer runs of the first ones, written once all samples are there. A campaign that becomes larger
     keeps them, and adds what it lacks."""
@@ -292,7 +292,7 @@ def _verify(samples: Samples, by: AbstractWork) -> None:
 
 
 @contextmanager
-def _progress(show_bar: bool, plan: Plan, remaining: list[int]) -> Iterator[Heard]:
+def _make_progress(show_bar: bool, plan: Plan, remaining: list[int]) -> Iterator[Heard]:
     """A bar with rate, time left and failures so far; what is told of each finished chunk."""
     sizes = {number: plan.span(number)[1] - plan.span(number)[0] for number in remaining}
     before = plan.samples - sum(sizes.values())
@@ -309,7 +309,7 @@ def _progress(show_bar: bool, plan: Plan, remaining: list[int]) -> Iterator[Hear
         yield heard
 
 
-def _interrupted(folder: Any) -> str:
+def _interrupted_sentence(folder: Any) -> str:
     """What is said after Ctrl-C."""
     try:
         stored = Samples.open(folder)

@@ -23,7 +23,7 @@ def dataset_of(samples: Samples) -> Any:
     there = np.isin(np.arange(plan.chunks), finished)
 
     def column(name: str, which: int | None = None, **attributes: str) -> Any:
-        data = _lazy()(samples, there, name, which)
+        data = _lazy_column_class()(samples, there, name, which)
         return xarray.Variable(("sample", "figure")[: len(data.shape)], data, attributes)
 
     columns: dict[str, Any] = {}
@@ -64,7 +64,7 @@ def dataset_of(samples: Samples) -> Any:
 
 
 @functools.cache
-def _lazy() -> Any:
+def _lazy_column_class() -> Any:
     """The class of a column that is read when it is used."""
     from xarray.backends import BackendArray
     from xarray.core import indexing

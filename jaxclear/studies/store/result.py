@@ -26,17 +26,17 @@ from jaxclear.studies.store.digest import difference, first_difference, in_texts
 from jaxclear.studies.store.samples import Samples
 
 
-def _of_all(method: Callable) -> Any:
+def _delegate_to_study(method: Callable) -> Any:
     """A method of `MonteCarlo`, asked of the whole study in memory."""
     return functools.wraps(method)(lambda self, *args, **how: method(self.sample, *args, **how))
 
 
-def _of_one(method: Callable) -> Any:
+def _delegate_by_response(method: Callable) -> Any:
     """A method of `MonteCarlo` that asks about a response, with that one in memory."""
 
     @functools.wraps(method)
     def call(self: "Campaign", response: str, *args: Any, **how: Any) -> Any:
-        return method(self._reduced(response), response, *args, **how)
+        return method(self._reduced_study(response), response, *args, **how)
 
     return call
 
@@ -85,11 +85,11 @@ class Campaign:
     def sample(self) -> MonteCarlo:
         """The finished samples as a Monte Carlo study, in memory; numbers of samples count them."""
         if not self._spans():
-            raise self._empty()
+            raise self._empty_error()
         parts = [self._samples.result_of(at) for at in self._spans()]
         result = jax.tree.map(lambda *arrays: np.concatenate(arrays), *parts)
         values = np.concatenate([self._samples.read(at, VALUES)[VALUES] for at in self._spans()])
-        return self._study(values, result)
+        return self._make_study(values, result)
 
     def sample_of(self, problem: Problem) -> MonteCarlo:
         """The finished samples in memory as a study of this problem. Raises `ValueError` with a
@@ -117,32 +117,32 @@ class Campaign:
     @property
     def failed(self) -> np.ndarray:
         """Indices of the samples that failed."""
-        return self._reduced(self.problem.response_names[0]).failed
+        return self._reduced_study(self.problem.response_names[0]).failed
 
     @property
     def warned(self) -> np.ndarray:
         """Indices of the samples that did not fail and carry a warning."""
-        return self._reduced(self.problem.response_names[0]).warned
+        return self._reduced_study(self.problem.response_names[0]).warned
 
-    failures = _of_all(MonteCarlo.failures)
-    warnings = _of_all(MonteCarlo.warnings)
-    rerun = _of_all(MonteCarlo.rerun)
-    table = _of_all(MonteCarlo.table)
-    share_within = _of_all(MonteCarlo.share_within)
-    error_budget = _of_all(MonteCarlo.error_budget)
-    mean = _of_one(MonteCarlo.mean)
-    numerical_error = _of_one(MonteCarlo.numerical_error)
-    standard_deviation = _of_one(MonteCarlo.standard_deviation)
-    quantile = _of_one(MonteCarlo.quantile)
-    process_capability = _of_one(MonteCarlo.process_capability)
-    tolerance_interval = _of_one(MonteCarlo.tolerance_interval)
+    failures = _delegate_to_study(MonteCarlo.failures)
+    warnings = _delegate_to_study(MonteCarlo.warnings)
+    rerun = _delegate_to_study(MonteCarlo.rerun)
+    table = _delegate_to_study(MonteCarlo.table)
+    share_within = _delegate_to_study(MonteCarlo.share_within)
+    error_budget = _delegate_to_study(MonteCarlo.error_budget)
+    mean = _delegate_by_response(MonteCarlo.mean)
+    numerical_error = _delegate_by_response(MonteCarlo.numerical_error)
+    standard_deviation = _delegate_by_response(MonteCarlo.standard_deviation)
+    quantile = _delegate_by_response(MonteCarlo.quantile)
+    process_capability = _delegate_by_response(MonteCarlo.process_capability)
+    tolerance_interval = _delegate_by_response(MonteCarlo.tolerance_interval)
 
     def summary(self, limits: Mapping[str, Limits] | None = None) -> Any:
         """The table of `MonteCarlo.summary`, one response at a time."""
         names = self.problem.response_names
         limits = {} if limits is None else limits
         check_limits(limits, names)
-        return summary_of([summary_row(self._reduced(n), n, limits) for n in names])
+        return summary_of([summary_row(self._reduced_study(n), n, limits) for n in names])
 
     def to_dataset(self) -> Any:
         """All samples as an xarray Dataset that is read when it is used: variables and responses by
@@ -166,14 +166,14 @@ class Campaign:
         if not self.finished:
             return f"None of {self.count} samples is finished yet."
         first, *others = self.problem.response_names
-        return self._reduced(
+        return self._reduced_study(
             first, *filter(lambda name: self.problem.description.responses[name].infinite, others)
         ).sentence()
 
     def __str__(self) -> str:
         return self.sentence()
 
-    def _unfinished(self) -> str:
+    def _unfinished_sentence(self) -> str:
         if self.is_complete:
             return self._unreached
         return (
@@ -181,18 +181,18 @@ class Campaign:
             "statistics are of these."
         )
 
-    def _empty(self) -> ValueError:
+    def _empty_error(self) -> ValueError:
         return ValueError(f"no sample of the campaign in {self.folder} is finished yet.")
 
     def _spans(self) -> list[slice]:
         return [slice(*self.plan.span(int(number))) for number in self._chunks]
 
-    def _groups(self) -> np.ndarray:
+    def _scramblings_of_samples(self) -> np.ndarray:
         """The scrambling of every finished sample."""
         every = self.plan.groups()
         return np.concatenate([every[at] for at in self._spans()] or [every[:0]])
 
-    def _reduced(self, *names: str) -> MonteCarlo:
+    def _reduced_study(self, *names: str) -> MonteCarlo:
         """The study of one response, or of a few, without values; of every check whether it is
         beyond its limit."""
         for name in names:
@@ -205,7 +205,7 @@ class Campaign:
             outcomes.append(result.outcome.astype(np.int8))
             beyond.append({c: np.asarray(row) for c, row in result.checks.beyond().items()})
         if not columns:
-            raise self._empty()
+            raise self._empty_error()
         checks = {
             check: _as_figure(np.concatenate([row[check] for row in beyond])) for check in beyond[0]
         }
@@ -213,9 +213,9 @@ class Campaign:
         outcome: Any = np.concatenate(outcomes)
         ended: Any = np.zeros(len(outcome))
         reduced = SampleResult(responses, outcome, ended, Checks.of(checks))
-        return self._study(np.zeros((len(outcome), 0)), reduced)
+        return self._make_study(np.zeros((len(outcome), 0)), reduced)
 
-    def _study(self, values: np.ndarray, result: Any) -> MonteCarlo:
+    def _make_study(self, values: np.ndarray, result: Any) -> MonteCarlo:
         names = [name for name in self.problem.response_names if name in result.responses]
         return MonteCarlo(
             self.problem,
@@ -226,8 +226,8 @@ class Campaign:
             self.seed,
             self.plan.batch,
             result.checks,
-            self._groups(),
-            self._unfinished(),
+            self._scramblings_of_samples(),
+            self._unfinished_sentence(),
             self._samples.replicas(),
         )
 

@@ -87,9 +87,14 @@ def batch_of(problem: Problem, samples: int) -> int:
 def planned(
     problem: Problem, drawn: tuple[int, int, str, int], chunk: int | None, most: int
 ) -> Plan:
-    """The plan of samples, seed, sampling and scramblings to begin with, of which there will be
-    `most`; in chunks of at least so many samples if they are given. Chunks are of whole batches of
-    the usual size, also where there are not as many samples."""
+    """The plan of a campaign's samples, in chunks of whole batches.
+
+    Args:
+        problem: says what a sample costs.
+        drawn: number of samples to begin with, seed, sampling, scramblings.
+        chunk: smallest number of samples of a chunk; None: chosen.
+        most: largest number of samples.
+    """
     # Runs have an idle form; what is evaluated at once has none.
     cheap, batch = problem.cost().idle is None, batch_of(problem, most)
     if chunk is None:
@@ -125,8 +130,17 @@ class Samples:
 
     @classmethod
     def create(cls, folder: Any, plan: Plan, texts: dict[str, str], recorded: Any) -> "Samples":
-        """Those of a problem in a folder, which is told what there is to be known of them where it
-        holds none; raises `ValueError` with a sentence where it holds something else."""
+        """The samples of a problem in a folder, which is initialised where it is empty.
+
+        Args:
+            folder: path.
+            plan: of the samples, for a new folder.
+            texts: the problem in texts, by which a folder is recognised.
+            recorded: the problem as JSON, for a new folder.
+
+        Raises:
+            ValueError: the folder holds something else.
+        """
         store = Store(check_folder(folder))
         saved = store.describe(mend=True)
         if saved is None:
@@ -204,8 +218,13 @@ class Samples:
         )
 
     def write(self, number: int, values: np.ndarray, result: SampleResult) -> None:
-        """Keeps a chunk, signed with the versions that computed it. Samples that failed have no
-        responses."""
+        """Saves a chunk, with the versions that computed it; samples that failed have no responses.
+
+        Args:
+            number: of the chunk.
+            values: of the variables, shape (samples, variables).
+            result: of the samples.
+        """
         reached: Any = result.reached_responses()
         result = dataclasses.replace(result, responses=reached)
         columns, about = pack(self.names, values, result)

@@ -89,8 +89,16 @@ class Store:
 
     @classmethod
     def open(cls, folder: Any, what: str, texts: dict[str, str]) -> "Store":
-        """The store in a folder of this kind of study, of a problem with these texts. Raises
-        `ValueError` with a sentence where it holds something else."""
+        """The store of a study in a folder.
+
+        Args:
+            folder: path.
+            what: kind of study.
+            texts: the problem in texts, by which a folder is recognised.
+
+        Raises:
+            ValueError: the folder holds something else.
+        """
         store = cls(check_folder(folder), {"what": what, "problem": json.dumps(texts)})
         saved = store.describe(mend=True)
         if saved is None:
@@ -133,7 +141,16 @@ class Store:
     def write(
         self, address: str, arrays: Mapping[str, Any], about: Mapping[str, Any] | None = None
     ) -> None:
-        """Saves a chunk. Raises `StoreError`."""
+        """Saves a chunk.
+
+        Args:
+            address: digest by which it is found.
+            arrays: its numbers by name.
+            about: what else the file says of them, as JSON.
+
+        Raises:
+            StoreError: the file cannot be written.
+        """
         if self.description is not None:
             self.record(self.description)
             self.description = None
@@ -172,8 +189,14 @@ class Store:
     def obtain(
         self, address: str, load: Callable[[], Any], compute: Callable[[], Any], wait: bool = False
     ) -> Any:
-        """What `load` reads of a chunk, or `compute` gives and saves where that is None; None where
-        another process or thread is at it, unless it is to `wait`."""
+        """A chunk, loaded or computed; None where another process or thread is at it.
+
+        Args:
+            address: digest by which it is found.
+            load: function that reads it; None: it is not there.
+            compute: function that computes and saves it.
+            wait: whether to wait for the other process.
+        """
         result = load()
         if result is None:
             with self.claim(address, wait) as claimed:
@@ -242,8 +265,13 @@ class Store:
             )
 
     def refuse_other(self, saved: dict[str, Any], what: str, texts: dict[str, str]) -> None:
-        """Raises `OtherStudyError` with a sentence where a folder that says this of itself holds
-        another kind of study than `what`, or one of a problem that differs from these texts."""
+        """Raises `OtherStudyError` where a folder holds another kind of study or problem.
+
+        Args:
+            saved: what the folder says of itself.
+            what: required kind of study.
+            texts: required problem.
+        """
         if saved["what"] != what:
             raise OtherStudyError(
                 f"the folder {self.folder} holds {saved['what']}, not {what}; give another one."
@@ -309,8 +337,13 @@ CURRENT: ContextVar[Store | None] = ContextVar("store of the current study", def
 
 @contextmanager
 def open_store(folder: Any, what: str, problem: Problem) -> Iterator[None]:
-    """What a study of this kind computes of a problem within is kept in a folder, if one is
-    given."""
+    """A context in which what a study computes is saved in a folder.
+
+    Args:
+        folder: path; None: nothing is saved.
+        what: kind of study.
+        problem: by which the folder is recognised.
+    """
     if folder is None:
         yield
     else:

@@ -69,7 +69,7 @@ class Evaluation:
         self._drawn: dict[int, np.ndarray] = {}
 
     @cached_property
-    def _sample(self) -> Drawing:
+    def _draw_all(self) -> Drawing:
         plan = self.plan
         return Drawing(self.program.problem, plan.seed, plan.sampling, plan.scramblings)
 
@@ -84,7 +84,7 @@ class Evaluation:
                 # Threads may still be at the block before.
                 self._drawn = {n: values for n, values in self._drawn.items() if n == block - 1}
                 ends = block * size, min((block + 1) * size, self.plan.samples)
-                self._drawn[block] = self._sample.span(*ends)
+                self._drawn[block] = self._draw_all.span(*ends)
             return self._drawn[block][first - block * size : last - block * size]
 
     def chunk(self, values: np.ndarray) -> SampleResult:
@@ -98,13 +98,26 @@ class Evaluation:
 
 
 def failures(problem: Problem, outcome: Any, responses: dict[str, Any]) -> int:
-    """How many of these samples failed."""
+    """Number of samples that failed.
+
+    Args:
+        problem: says which responses count as answers.
+        outcome: shape (samples,).
+        responses: by name, shape (samples,).
+    """
     return int(np.sum(~successes(problem, outcome, responses)[0]))
 
 
 def done(samples: Samples, evaluation: Evaluation, number: int) -> int | None:
-    """Computes a chunk and keeps it: how many of its samples failed; None where another thread or
-    process is at it."""
+    """Computes and saves a chunk; returns how many of its samples failed.
+
+    None where another thread or process is at it.
+
+    Args:
+        samples: of the campaign, in its folder.
+        evaluation: values and program of each chunk.
+        number: of the chunk.
+    """
     problem = evaluation.program.problem
 
     def load() -> int | None:
@@ -130,8 +143,13 @@ class AbstractWork(ABC):
 
     @abstractmethod
     def compute(self, samples: Samples, numbers: Sequence[int], heard: Heard) -> None:
-        """Computes and keeps the chunks of these numbers, and waits for those that other processes
-        are at."""
+        """Computes and saves chunks, and waits for those at which other processes work.
+
+        Args:
+            samples: of the campaign, in its folder.
+            numbers: of the chunks.
+            heard: function of a number and how many samples failed.
+        """
 
     @abstractmethod
     def replicated(self, plan: Plan, values: np.ndarray) -> SampleResult | None:
@@ -143,10 +161,10 @@ class Threads(AbstractWork):
     """The threads of this process, side by side. Interrupted, it loses the chunks in work."""
 
     def __init__(self, problem: Problem):
-        self.problem, self._program = problem, Program(problem, wide=True)
+        self.problem, self._shared_program = problem, Program(problem, wide=True)
 
     def compute(self, samples, numbers, heard):
-        evaluation = Evaluation(self._program, samples.plan)
+        evaluation = Evaluation(self._shared_program, samples.plan)
         until_all(lambda number: done(samples, evaluation, number), numbers, heard)
 
     def replicated(self, plan, values):
@@ -171,14 +189,22 @@ class Workers(AbstractWork):
         self.problem, self.client = problem, client
         # The texts that a problem is known by tell a worker whether it has compiled it before.
         self.token = compute_address(in_texts(problem))
-        self.there = client.submit(_itself, problem, pure=False)
+        self.there = client.submit(_as_task_argument, problem, pure=False)
 
     def compute(self, samples, numbers, heard):
-        """As of every work. Raises `RuntimeError` with a sentence where a chunk ends its
-        workers."""
+        """Computes and saves chunks on the workers of Dask.
+
+        Args:
+            samples: of the campaign, in its folder.
+            numbers: of the chunks.
+            heard: function of a number and how many samples failed.
+
+        Raises:
+            RuntimeError: a chunk ends its workers.
+        """
         import distributed
 
-        self._joined()
+        self._wait_for_worker()
         # What a worker knows of a folder is as it was when this began.
         place, most = str(samples.folder.resolve()), samples.plan.samples
         what = self.there, self.token, place, most, secrets.token_hex(8)
@@ -191,12 +217,12 @@ class Workers(AbstractWork):
                     # A block that takes too long comes back, so its size need only be fair.
                     many = -(-len(remaining) // (BLOCKS_PER_THREAD * threads))
                     block = [remaining.popleft() for _ in range(many)]
-                    future = self.client.submit(_on_worker, *what, block, pure=False)
+                    future = self.client.submit(_run_block, *what, block, pure=False)
                     pending[future.key] = block
                     running.add(future)
                 future = next(running)
                 block = pending.pop(future.key)
-                answers = _answer(future, block)
+                answers = _read_answer(future, block)
                 for number, failed in zip(block, answers, strict=False):
                     if failed is not None:
                         heard(number, failed)
@@ -208,10 +234,10 @@ class Workers(AbstractWork):
             self.client.cancel([*running.futures])
 
     def replicated(self, plan, values):
-        self._joined()
+        self._wait_for_worker()
         return self.client.submit(finer_runs, self.there, values, plan.batch, pure=False).result()
 
-    def _joined(self) -> None:
+    def _wait_for_worker(self) -> None:
         """Waits for a worker. Raises `RuntimeError` with a sentence where none comes."""
         try:
             self.client.wait_for_workers(1, timeout=JOINING)
@@ -226,7 +252,7 @@ class Workers(AbstractWork):
         self.client.cancel([self.there])
 
 
-def _answer(future: Any, block: list[int]) -> list[int | None]:
+def _read_answer(future: Any, block: list[int]) -> list[int | None]:
     """What a worker says of a block."""
     import distributed
 
@@ -241,12 +267,12 @@ def _answer(future: Any, block: list[int]) -> list[int | None]:
         ) from reason
 
 
-def _itself(problem: Problem) -> Problem:
+def _as_task_argument(problem: Problem) -> Problem:
     """The problem, as something that Dask holds for all workers."""
     return problem
 
 
-def _on_worker(
+def _run_block(
     problem: Problem, token: str, folder: str, most: int, campaign: str, block: list[int]
 ) -> list[int | None]:
     """Computes and keeps chunks of a block, on a worker, for as long as a task is to take: what
@@ -276,7 +302,7 @@ class _Shared:
 
 
 @functools.lru_cache(maxsize=4)
-def _program(once: _Shared) -> Program:
+def _shared_program(once: _Shared) -> Program:
     """The program of the problem that came first: it serves later campaigns too."""
     return Program(once.problem, wide=True)
 
@@ -290,4 +316,4 @@ def _ready(once: _Shared, folder: str, most: int, campaign: str) -> tuple[Sample
             "share."
         )
     samples = Samples.open(folder).view(most)
-    return samples, Evaluation(_program(once), samples.plan)
+    return samples, Evaluation(_shared_program(once), samples.plan)

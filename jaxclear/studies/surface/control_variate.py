@@ -37,8 +37,15 @@ class Mean(NamedTuple):
 def normal_blocks(
     scramblings: int, samples: int, dimensions: int, seed: tuple[int, ...], first: int = 0
 ) -> np.ndarray:
-    """Standard normal numbers (scramblings samples, dimensions) of independent scramblings, one
-    after the other, of which the first has the number `first`."""
+    """Standard normal numbers (scramblings samples, dimensions), one scrambling after the other.
+
+    Args:
+        scramblings: their number.
+        samples: of each.
+        dimensions: numbers of a sample.
+        seed: first parts of the generators' seeds.
+        first: number of the first scrambling.
+    """
     rngs = [np.random.default_rng([*seed, first + k]) for k in range(scramblings)]
     return np.concatenate([scrambled_normal(samples, dimensions, rng) for rng in rngs])
 
@@ -53,9 +60,17 @@ def regressed(upper: np.ndarray, lower: np.ndarray) -> np.ndarray:
 def corrected_values(
     values: np.ndarray, weights: np.ndarray, runs: np.ndarray, there: np.ndarray, shares: np.ndarray
 ) -> np.ndarray:
-    """A large sample of what stands in, `values` (points,) with `weights` [1], each moved by the
-    difference between a run (runs,) and what stood `there` for it: that of its rank, so that each
-    run moves as much as its share (runs,) [1] and the mean is that of a control variate."""
+    """A large sample of a surface, corrected by runs of the same rank.
+
+    Each run moves as much as its share, so that the mean is that of a control variate.
+
+    Args:
+        values: of the surface, shape (points,).
+        weights: of the points [1].
+        runs: responses of runs, shape (runs,).
+        there: values of the surface at these runs.
+        shares: weights of the runs [1].
+    """
     by_rank, order = np.argsort(there, kind="stable"), np.argsort(values, kind="stable")
     middles = np.cumsum(weights[order]) - 0.5 * weights[order]
     rank = np.searchsorted(np.cumsum(shares[by_rank])[:-1], middles)

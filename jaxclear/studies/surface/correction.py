@@ -70,8 +70,8 @@ class CorrectedStatistics(AbstractAnswer):
     def sentence(self) -> str:
         """How many runs, how many failed, the probabilities of the limits, and which responses got
         nothing from the surface."""
-        text = f"{self.runs} runs in {self.scramblings} independent scramblings beside the "
-        text += f"{len(self.surface.values)} of the surface, {self.failed} failed."
+        text = f"From {self.runs} runs in {self.scramblings} independent scramblings and the "
+        text += f"{len(self.surface.values)} runs of the surface; {self.failed} failed."
         for name, probability in self.probabilities.items():
             text += f' P("{name}") = {probability}.'
         rough = [n for n in self.means if not self.surface.trusted(n)]

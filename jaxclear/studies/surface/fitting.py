@@ -81,13 +81,20 @@ def fitted(
     degree: int | None = None,
     gradients: dict[str, np.ndarray] | None = None,
 ) -> ResponseSurface:
-    """The surface through runs that are there: `result` are their outcomes at `values` (runs,
-    variables), `gradients` the slopes of each response, (runs, variables). Runs that failed are
-    left out and counted; without a `degree` each response takes that of 1 to 4 which predicts runs
-    best. Raises `ValueError` where too few runs reached their end.
+    """The polynomial surface through runs; failed runs are left out and counted.
+
+    Args:
+        problem: names responses and variables.
+        values: of the variables, shape (runs, variables).
+        result: of the runs.
+        degree: of the polynomials; None: for each response that of 1 to 4 which predicts runs best.
+        gradients: slopes of each response, shape (runs, variables); None: without.
+
+    Raises:
+        ValueError: too few runs reached their end.
     """
     names = problem.response_names
-    values, target, slopes, failed = _good(names, values, result, gradients)
+    values, target, slopes, failed = _good_runs(names, values, result, gradients)
     equations = len(values) * (1 + (values.shape[1] if gradients is not None else 0))
     degrees = (degree,) if degree is not None else _degrees(values.shape[1], equations)
     if len(values) < 2 or not degrees:
@@ -114,8 +121,8 @@ def fitted(
             "degree."
         )
     term_sets = [np.flatnonzero(table.sum(axis=1) <= d) for d in degrees]
-    system = _equations(polynomials, table, values, target, slopes)
-    coefficients, chosen, which = _best(*system, term_sets)
+    system = _fit_equations(polynomials, table, values, target, slopes)
+    coefficients, chosen, which = _best_fits(*system, term_sets)
     by_name = lambda numbers: dict(zip(names, numbers, strict=True))
     return ResponseSurface(
         problem,
@@ -134,7 +141,7 @@ def fitted(
     )
 
 
-def _best(
+def _best_fits(
     design: np.ndarray, aims: np.ndarray, term_sets: list[np.ndarray]
 ) -> tuple[np.ndarray, list[Fit], np.ndarray]:
     """For each response the fit that predicts runs best: coefficients (responses, terms), the fits,
@@ -147,7 +154,7 @@ def _best(
     return coefficients, [fits[which] for which in best], best
 
 
-def _good(
+def _good_runs(
     names: tuple[str, ...],
     values: np.ndarray,
     result: SampleResult,
@@ -173,7 +180,7 @@ def _degrees(variables: int, equations: int) -> tuple[int, ...]:
     return tuple(d for d in range(1, HIGHEST + 1) if comb(variables + d, d) <= most)
 
 
-def _equations(
+def _fit_equations(
     polynomials: Any, table: np.ndarray, values: np.ndarray, target: np.ndarray, slopes: Any
 ) -> tuple[np.ndarray, np.ndarray]:
     """Terms (runs, equations, terms) and what they are to give (runs, equations, responses): the

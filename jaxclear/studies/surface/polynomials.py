@@ -108,7 +108,13 @@ def products(
     table: Int[Array, "terms variables"],
     values: Float[Array, " variables"],
 ) -> Float[Array, " terms"]:
-    """The products of polynomials at one set of values; differentiable."""
+    """Products of polynomials at one set of values; differentiable.
+
+    Args:
+        polynomials: of each variable.
+        table: degree in each variable, of each product.
+        values: of the variables.
+    """
     polynomial_values = polynomials(values)
     return jnp.prod(polynomial_values[table, jnp.arange(len(values))], axis=1)
 
@@ -134,9 +140,16 @@ class Expansion(NamedTuple):
         groups: tuple[range, ...],
         is_clipped: bool = False,
     ) -> "Expansion":
-        """Under the law of independent variables. `points` (values, variables) are those at which
-        there were runs; `groups`: the places of the numbers of each variable; `is_clipped`: beyond
-        the outermost of the known values polynomials stay as they are there."""
+        """Coefficients of orthonormal products under the law of independent variables.
+
+        Args:
+            polynomials: of each variable.
+            powers: degree in each variable of each product, shape (terms, variables).
+            inputs: joint distribution of the variables.
+            points: values at which there were runs, shape (values, variables).
+            groups: columns of the numbers of each variable.
+            is_clipped: whether polynomials are constant beyond the outermost points.
+        """
         scores = np.linspace(-LARGEST_SCORE, LARGEST_SCORE, SCORES)
         weights = np.exp(-0.5 * scores**2)
         weights /= weights.sum()
@@ -158,7 +171,7 @@ class Expansion(NamedTuple):
                 shares = weights
             else:
                 # All products of the numbers that act together, the lowest first.
-                scores, shares = _together(len(group), list(group), powers.shape[1])
+                scores, shares = _joint_grid(len(group), list(group), powers.shape[1])
                 beyond, there = law(scores)
                 outside[list(group)] = shares @ beyond[:, list(group)]
                 table = np.unique(group_powers, axis=0)
@@ -184,7 +197,7 @@ class Expansion(NamedTuple):
         return float(mean), float(variance), squares @ alone, squares @ there
 
 
-def _together(count: int, columns: list[int], variables: int) -> tuple[np.ndarray, np.ndarray]:
+def _joint_grid(count: int, columns: list[int], variables: int) -> tuple[np.ndarray, np.ndarray]:
     """Scores (points, variables), of which those of some columns are on a grid, and the share [1]
     of each point."""
     one = np.linspace(-LARGEST_SCORE, LARGEST_SCORE, round(POINTS_TOGETHER ** (1 / count)) | 1)

@@ -38,7 +38,14 @@ Region = float | Mapping[str, tuple[float, float]]
 
 
 def drawn(problem: Problem, runs: int, over: Region, seed: int) -> np.ndarray:
-    """Values (runs, variables) that fill a region."""
+    """Values (runs, variables) that fill a region.
+
+    Args:
+        problem: with the variables.
+        runs: their number.
+        over: multiple of the standard deviations, or ranges by variable.
+        seed: of the points.
+    """
     rng = np.random.default_rng(seed)
     normal = scrambled_normal(runs, len(problem.names), rng)
     wide = normal if isinstance(over, Mapping) else over * normal
@@ -121,7 +128,7 @@ def surface(
     if why:
         raise ValueError(f"this problem has no exact slopes ({why}); take slopes=False.")
     if isinstance(sample, GivenSample):
-        values, result, lacking = _there(sample_of(problem, sample), slopes)
+        values, result, lacking = _runs_of_study(sample_of(problem, sample), slopes)
         gradients = None
     else:
         count = len(powers(np.full(len(problem.names), 2), 2))
@@ -135,7 +142,7 @@ def surface(
     return dataclasses.replace(through, unreached=lacking)
 
 
-def _there(study: MonteCarlo, slopes: bool) -> tuple[np.ndarray, SampleResult, str]:
+def _runs_of_study(study: MonteCarlo, slopes: bool) -> tuple[np.ndarray, SampleResult, str]:
     """Values (runs, variables) and outcomes of a study, and what it lacks of what was asked for."""
     if slopes:
         raise ValueError("a Monte Carlo study has no slopes; give a number of runs instead.")
@@ -166,8 +173,15 @@ def run(
     chunk: int | None = None,
     progress_bar: bool = False,
 ) -> tuple[SampleResult, dict[str, np.ndarray] | None]:
-    """Outcomes at `values` (runs, variables), and where asked for the slopes of each response,
-    (runs, variables)."""
+    """Results of runs, and the slopes of each response (runs, variables) where requested.
+
+    Args:
+        problem: that is run.
+        values: of the variables, shape (runs, variables).
+        slopes: whether they are computed.
+        chunk: samples computed together; None: chosen.
+        progress_bar: whether one is shown.
+    """
     options: dict[str, Any] = {"chunk": chunk, "progress_bar": progress_bar, "label": "surface"}
     if not slopes:
         return evaluate_all(problem, jnp.asarray(values), **options), None

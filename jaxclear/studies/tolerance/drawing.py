@@ -163,8 +163,8 @@ class Drawing(AbstractQuantified):
             all_lines[name] = Line(f"joint {name}", one.specification, sizes, ends)
         plane = all_planar(mechanism.bodies)
         for name, zone in zones.items():
-            mechanism = _ready(mechanism, name, zone, plane)
-        for name in _by_datum(zones):
+            mechanism = _prepare_marker(mechanism, name, zone, plane)
+        for name in _sort_by_datum(zones):
             all_lines[name] = _zone_line(mechanism, name, zones, fits, plane)
         for name, one in entries.items():
             if isinstance(one, Size):
@@ -195,14 +195,23 @@ class Drawing(AbstractQuantified):
 
 
 def marker_at(mechanism: Mechanism, on: str, owner: str = "") -> Marker:
-    """The marker at a joint's side, such as "A.parent". Raises `ValueError` where there is none."""
+    """The marker at a joint's side.
+
+    Args:
+        mechanism: with the joints.
+        on: such as "A.parent".
+        owner: line of a drawing in the message; "": the joint is known to exist.
+
+    Raises:
+        ValueError: there is no such joint.
+    """
     joint, _, side = on.rpartition(".")
     if owner:
         check_name(f'joint of line "{owner}"', joint, mechanism.connections, " in this mechanism")
     return getattr(mechanism.connections[joint], side)
 
 
-def _ready(mechanism: Mechanism, name: str, zone: AbstractZone, plane: bool) -> Mechanism:
+def _prepare_marker(mechanism: Mechanism, name: str, zone: AbstractZone, plane: bool) -> Mechanism:
     """The mechanism whose marker has the numbers that a zone moves."""
     marker = marker_at(mechanism, zone.marker, name)
     if plane and zone.leaves_plane(marker):
@@ -218,12 +227,12 @@ def _ready(mechanism: Mechanism, name: str, zone: AbstractZone, plane: bool) -> 
     return rebuilt(mechanism, connections=changed)
 
 
-def _by_datum(zones: dict[str, AbstractZone]) -> list[str]:
+def _sort_by_datum(zones: dict[str, AbstractZone]) -> list[str]:
     """The names of zones, each behind that which moves its datum."""
     order: list[str] = []
     while len(order) < len(zones):
         rest = [name for name in zones if name not in order]
-        free = [name for name in rest if not {*_moving(zones, zones[name])} & {*rest}]
+        free = [name for name in rest if not {*_zones_moving_datum(zones, zones[name])} & {*rest}]
         if not free:
             raise ValueError(
                 f'the datums of the zones "{rest[0]}" and others go round in a circle; one of them '
@@ -233,7 +242,7 @@ def _by_datum(zones: dict[str, AbstractZone]) -> list[str]:
     return order
 
 
-def _moving(zones: dict[str, AbstractZone], zone: AbstractZone) -> list[str]:
+def _zones_moving_datum(zones: dict[str, AbstractZone], zone: AbstractZone) -> list[str]:
     """The names of the zones that move the datum of one."""
     if zone.datum is None:
         return []
@@ -263,7 +272,7 @@ def _zone_line(
             )
         at = None if there.at is None or datum == zone.marker else there.at
         datum = None if at is None else datum
-    bonus = _bonus(name, zone, fits)
+    bonus = _make_bonus(name, zone, fits)
     law = zone.law(plane)
     variable = ZoneVariable(zone, law, plane, bonus, datum, at)
     widths = marginals_of(law)[: len(zone.size) if isinstance(zone.size, tuple) else 1]
@@ -271,7 +280,7 @@ def _zone_line(
     return Line(f"{marker.body} at {zone.marker}", zone.specification, variable, ends)
 
 
-def _bonus(name: str, zone: AbstractZone, fits: dict[str, Fit]) -> Bonus | None:
+def _make_bonus(name: str, zone: AbstractZone, fits: dict[str, Fit]) -> Bonus | None:
     """What a size adds to a zone."""
     text = zone.at_mmc or zone.at_lmc
     if text is None:
