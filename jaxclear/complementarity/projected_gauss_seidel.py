@@ -103,17 +103,21 @@ class ProjectedGaussSeidel(AbstractSolver):
         v = jnp.stack(problem.delassus) @ r + problem.free_velocity
         return Solution(r, v, problem.residual(r, v), outcome, last.sweeps)
 
-    def iterate(self, problem: FrictionContact, start: Array | None = None) -> Iterate:
+    def iterate(
+        self, problem: FrictionContact, start: Array | None = None, sweep: bool = False
+    ) -> Iterate:
         """The iteration itself, which a time step calls; for derivatives see `with_derivatives`.
 
         Args:
             problem: a `FrictionContact`.
             start: reactions to begin with, an array (m,) [as the problem's z]; None: zero.
+            sweep: whether to take one sweep in any case: friction that moves nothing has no
+                residual.
 
         Returns:
             the last `Iterate`.
         """
-        return self._iterate(problem, start, in_kernel=True)
+        return self._iterate(problem, start, in_kernel=True, sweep=sweep)
 
     def _iterate(self, problem: FrictionContact, start: Array | None, in_kernel: bool) -> Iterate:
         scaled = scaled_contacts(problem)
