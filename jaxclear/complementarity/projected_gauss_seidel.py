@@ -119,14 +119,17 @@ class ProjectedGaussSeidel(AbstractSolver):
         """
         return self._iterate(problem, start, in_kernel=True, sweep=sweep)
 
-    def _iterate(self, problem: FrictionContact, start: Array | None, in_kernel: bool) -> Iterate:
+    def _iterate(
+        self, problem: FrictionContact, start: Array | None, in_kernel: bool, sweep: bool = False
+    ) -> Iterate:
         scaled = scaled_contacts(problem)
         unit = scaled.size / scaled.weight
         guess = [jnp.zeros(d) for d in problem.sizes]
         if start is not None:
             guess = [x / unit for x in problem.split(jnp.where(problem.acts, start, 0.0))]
+        first = _sweep(scaled, tuple(guess)) if sweep else tuple(guess)
         settings = self.max_sweeps, self.tolerance, in_kernel
-        reactions, residual, sweeps = _sweep_until(scaled, tuple(guess), *settings)
+        reactions, residual, sweeps = _sweep_until(scaled, first, *settings)
         reaction = jnp.where(problem.acts, jnp.concatenate(reactions) * unit, 0.0)
         return Iterate(reaction, residual, sweeps)
 

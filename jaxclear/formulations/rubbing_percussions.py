@@ -119,7 +119,7 @@ def searched(
     def improve(carry):
         z, old, _, sweeps = carry
         problem, guess, back = _problem(search, old, z)
-        out = settings.solver().iterate(problem, guess)
+        out = settings.solver().iterate(problem, guess, sweep=bool(search.joints))
         z = back(out.z)
         now = reactions_at(z)
         residual = jnp.maximum(out.residual, _residual(search, old, now, problem))
