@@ -127,8 +127,8 @@ def test_sentence_names_class_number_unit_and_range():
         "integrator.MoreauJean has gamma = -1; it must be at least 0.": lambda: (
             jc.integrator.MoreauJean(gamma=-1)
         ),
-        "integrator.NonColliding has tolerance = -1; it must be above 0.": lambda: (
-            jc.integrator.NonColliding(tolerance=-1)
+        "integrator.NonColliding has relaxation = -1; it must be above 0.": lambda: (
+            jc.integrator.NonColliding(relaxation=-1)
         ),
         "distribution.Uniform has half_width = -1 (in the varied number's unit); it must be above "
         "0.": lambda: jc.distribution.Uniform(-1),

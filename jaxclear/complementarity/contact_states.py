@@ -5,7 +5,7 @@ Between two states a derivative is one-sided: a contact that touches without for
 at the edge of its cone without slip sticks.
 """
 
-from functools import partial
+from collections.abc import Callable
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -14,10 +14,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from jaxclear.complementarity.friction_cone import LinearisedLaw, alart_curnier
+from jaxclear.complementarity.friction_cone import alart_curnier
 from jaxclear.complementarity.friction_contact import FrictionContact
 from jaxclear.ground.factorisation import eliminate
-from jaxclear.ground.tangents import derived, moved
+from jaxclear.ground.tangents import derived, pushed
 
 # States are told apart by this share of the largest reaction where derivatives are taken: a contact
 # nearer to a corner stays in the state that `alart_curnier` names.
@@ -69,98 +69,96 @@ def scaled_contacts(problem: FrictionContact) -> Scaled:
     return Scaled(blocks, problem.split(free), blocks_of_contacts, problem.mu, rho, weight, size)
 
 
-def linearise_laws(
-    problem: Scaled, r: tuple, margin: Any, regular: float
-) -> tuple[list[LinearisedLaw], list[Array]]:
-    """The contact laws linearised about a solution, and the Jacobian of their residual by r.
-
-    The residual is F(r, rho (W r + b)).
+def linearise_laws(problem: Scaled, r: tuple, damping: Any) -> tuple[Array, list[Array]]:
+    """What the laws of all contacts miss, and how that changes with the reactions.
 
     Args:
         problem: contacts in units of their own.
-        r: reactions, an array for each contact.
-        margin: within which a contact at an edge of two states counts as open or sticking.
-        regular: added to the rows of contacts that stick [1].
+        r: reaction of each contact, a tuple of arrays [1].
+        damping: change of velocities by that of reactions that is added [1].
+
+    Returns:
+        what is missed, and the rows of its Jacobian [1].
     """
-    laws, lines, m, first = [], [], sum(map(len, r)), 0
+    values, lines, m, first = [], [], sum(map(len, r)), 0
     for i, part in enumerate(r):
-        d, rho = len(part), problem.rho[i]
-        velocity = problem.velocity(i, jnp.concatenate(r))
-        law = alart_curnier(part, rho * velocity, problem.mu[i], margin)
+        d, rho, mu = len(part), problem.rho[i], problem.mu[i]
+        s = rho * problem.velocity(i, jnp.concatenate(r))
+        law = lambda r, s, mu=mu: alart_curnier(r, s, mu, 0.0)
+        value, push = jax.linearize(law, part, s)
+        still, units = jnp.zeros(d), [jnp.asarray(unit) for unit in np.eye(d)]
+        of_r, of_s = [push(e, still) for e in units], [push(still, e) for e in units]
         for a in range(d):
-            through_v = sum(rho * law.of_s[a, b] * row for b, row in enumerate(problem.rows[i]))
-            direct = law.of_r[a] + regular * law.of_s[a]
+            through_v = sum(rho * of_s[b][a] * row for b, row in enumerate(problem.rows[i]))
+            direct = jnp.stack([of_r[b][a] + damping * of_s[b][a] for b in range(d)])
             padded = [jnp.zeros(first), direct, jnp.zeros(m - first - d)]
             lines.append(through_v + jnp.concatenate(padded))
-        laws.append(law)
+        values.append(value)
         first += d
-    return laws, lines
+    return jnp.concatenate(values), lines
 
 
-@partial(jax.custom_jvp, nondiff_argnums=(5,))
-def keep_states(r, solved, matrix, offset, mu, sizes: tuple[int, ...]) -> Array:
-    r"""unchanged, with the derivatives of the solution whose contacts keep their states.
-
-    They are zero where it is not solved, and of the least change of r where contacts are redundant.
+def laws_missed(problem: FrictionContact, r: Array, regular: float = REGULAR) -> Array:
+    """What reactions miss of the laws in the states that they are in, for derivatives at a
+    solution.
 
     Args:
-        r: reactions of all contacts, shape (m,).
-        solved: whether r is a solution.
-        matrix, offset, mu: W (m, m), b (m,) and friction coefficients of the problem.
-        sizes: number of components of each contact.
+        problem: the contacts.
+        r: reactions, an array (m,) [as the problem's z].
+        regular: keeps redundant contacts that stick from leaving derivatives undetermined [1].
+
+    Returns:
+        what is missed, an array (m,) [1].
     """
-    return r
-
-
-@keep_states.defjvp
-def _keep_states_jvp(sizes, primals, tangents):
-    r, solved, matrix, offset, mu = primals
-    _, _, d_matrix, d_offset, d_mu = tangents
-    out = keep_states(*primals, sizes)
-    # What is not solved is made harmless before it is differentiated.
-    posed = FrictionContact(
-        jnp.where(solved, matrix, jnp.eye(len(r))), jnp.where(solved, offset, 0.0), mu, sizes
-    )
-    unit, lines, change = _moved(posed, out, (d_matrix @ out + d_offset, d_mu), 0.0)
-    change = unit * jnp.where(solved, change, 0.0)
-    return out, -jnp.linalg.pinv(jnp.stack(lines), rtol=REDUNDANT) @ change
-
-
-def with_state_derivatives(problem: FrictionContact, r: Array) -> Array:
-    """r, a solution, with the derivatives of the solution whose contacts keep their states, by
-    operations that kernels have."""
-
-    def tangent(numbers, tangents):
-        (matrix, offset, mu, active), r = numbers
-        d_matrix, d_offset, d_mu = jax.tree.map(moved, tangents[0][:3])
-        # A contact without a normal (concentric parts) answers nothing.
-        answers = jnp.stack([matrix[k][k] > 0 for k in problem.starts[:-1]])
-        active = answers if active is None else active & answers
-        posed = FrictionContact(matrix, offset, mu, problem.sizes, active)
-        drift = jnp.stack([row @ r for row in d_matrix]) + d_offset
-        unit, lines, change = _moved(posed, r, (jnp.where(posed.acts, drift, 0.0), d_mu), REGULAR)
-        solution = eliminate(lines, -change)
-        return unit * jnp.stack(solution)
-
-    data = problem.delassus, problem.free_velocity, problem.mu, problem.active
-    return derived(lambda _, r: r, tangent)(data, r)
-
-
-def _moved(
-    problem: FrictionContact, r: Array, tangents: tuple[Array, Array], regular: float
-) -> tuple[Array, list[Array], Array]:
-    """(unit of reactions, rows of the Jacobian of the laws at a solution r, by how much `ways` of
-    the velocities with these reactions and of mu move the laws)."""
-    scaled = scaled_contacts(problem)
-    unit, sizes = scaled.size / scaled.weight, problem.sizes
-    blocks = tuple(problem.split(r / unit))
-    flat = jnp.concatenate(blocks)
-    s = [scaled.rho[i] * scaled.velocity(i, flat) for i in range(len(sizes))]
-    largest = jnp.maximum(jnp.max(jnp.abs(flat)), jnp.max(jnp.abs(jnp.concatenate(s))))
-    laws, lines = linearise_laws(scaled, blocks, CORNER * jax.lax.stop_gradient(largest), regular)
-    drifts = problem.split(tangents[0] / scaled.size)
-    change = [
-        law.of_s @ (scaled.rho[i] * drifts[i]) + law.of_mu * tangents[1][i]
-        for i, law in enumerate(laws)
+    # A contact without a normal (concentric parts) answers nothing.
+    answers = jnp.stack([problem.delassus[k][k] > 0 for k in problem.starts[:-1]])
+    active = answers if problem.active is None else problem.active & answers
+    data = problem.delassus, problem.free_velocity, problem.mu
+    scaled = scaled_contacts(FrictionContact(*data, problem.sizes, active))
+    parts = problem.split(r / (scaled.size / scaled.weight))
+    flat = jnp.concatenate(parts)
+    laws = [
+        (
+            part,
+            rho * scaled.velocity(i, flat) + regular * (part - jax.lax.stop_gradient(part)),
+            scaled.mu[i],
+        )
+        for i, (part, rho) in enumerate(zip(parts, scaled.rho, strict=True))
     ]
-    return unit, lines, jnp.concatenate(change)
+    largest = jnp.max(jnp.abs(jnp.concatenate([flat, *(s for _, s, _ in laws)])))
+    margin = CORNER * jax.lax.stop_gradient(largest)
+    return jnp.concatenate([alart_curnier(*law, margin) for law in laws])
+
+
+def least_solution(lines: list[Array], right: Array) -> Array:
+    """Of redundant contacts the least change."""
+    return jnp.linalg.pinv(jnp.stack(lines), rtol=REDUNDANT) @ right
+
+
+def with_derivatives(
+    misses: Callable[[Array], Array], root: Array, solve: Callable = eliminate
+) -> Array:
+    """A root of a function, with the derivatives that it has as such (implicit function theorem).
+
+    Args:
+        misses: what arguments (n,) miss of the equations, an array (n,).
+        root: where that is zero, an array (n,).
+        solve: solves linear equations given by rows and right-hand sides; by default by operations
+            that kernels have.
+
+    Returns:
+        the root, an array (n,).
+    """
+    function, numbers = jax.closure_convert(misses, root)
+
+    def tangent(arguments, tangents):
+        root, *numbers = arguments
+        _, push = jax.linearize(lambda root: function(root, *numbers), root)
+        columns = jnp.stack([push(jnp.asarray(unit)) for unit in np.eye(len(root))])
+        at_root = lambda *numbers: function(root, *numbers)
+        change = pushed(at_root, numbers, tangents[1:])[1]
+        solution = solve([columns[:, i] for i in range(len(root))], -change)
+        return jnp.stack([solution[i] for i in range(len(root))])
+
+    # What the root was found from is not cut off: by that loops know what moves.
+    return derived(lambda root, *_: root, tangent)(root, *numbers)

@@ -7,8 +7,6 @@ doi:10.1016/S0895-7177(98)00119-8 (natural map); Bonnefon & Daviet 2011, INRIA R
 contact); Alart & Curnier 1991, doi:10.1016/0045-7825(91)90022-X (generalised Jacobian).
 """
 
-from typing import NamedTuple
-
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -113,48 +111,30 @@ def _sliding_direction(tangents, push, normal, coupling, mu):
     return safe_divide(1.0, safe_sqrt(tangent @ tangent)) * tangent
 
 
-class LinearisedLaw(NamedTuple):
-    """One contact's law F(r, s, mu) = 0 and its generalised Jacobian, dF = F_r dr + F_s ds + F_mu
-    dmu; s = rho v. `value`, `of_r`, `of_s`, `of_mu`: in the units of r [unit of r].
-    """
-
-    value: Float[Array, " d"]
-    of_r: Float[Array, "d d"]
-    of_s: Float[Array, "d d"]
-    of_mu: Float[Array, " d"]
-
-
 def alart_curnier(
     r: Float[Array, " d"], s: Float[Array, " d"], mu: Scalar, margin: Scalar
-) -> LinearisedLaw:
-    r"""The law of open, stick or slide, linearised, by the state that r - s indicates.
+) -> Float[Array, " d"]:
+    r"""What the law of open, stick or slide misses, whichever r - s tells; s = rho v [unit of r].
 
-    open: F = r; stick: F = s; slide: F = (s_n, r_t - mu r_n u), u = (r_t - s_t) / \|r_t - s_t\|.
+    open: r; stick: s; slide: (s_n, r_t - mu r_n u), u = (r_t - s_t) / \|r_t - s_t\|. Its
+    derivatives are those of this state: the generalised Jacobian. Within `margin` a contact that
+    just touches without force counts as open, one on the edge of its cone without slip as sticking.
 
     Args:
-        r: reaction of a contact, normal first.
-        s: rho times its velocity, in the unit of r.
-        mu: friction coefficient [1].
-        margin: within which a contact that just touches without force counts as open, and one
-            on the
-            edge of its cone without slip as sticking [unit of r].
+        r: reaction, normal first, an array (d,) [N s].
+        s: velocity times rho, an array (d,) [unit of r].
+        mu: coefficient of friction [1].
+        margin: by how much it must be beyond an edge to count as beyond it [unit of r].
+
+    Returns:
+        what is missed, an array (d,) [unit of r].
     """
-    d = r.shape[0]
-    eye, zero, none = jnp.eye(d), jnp.zeros((d, d)), jnp.zeros(d)
     pushed = jax.lax.stop_gradient(r[0] - s[0])
-    opened, stuck = LinearisedLaw(r, eye, zero, none), LinearisedLaw(s, zero, eye, none)
-    if d == 1:
-        return jax.tree.map(lambda a, b: jnp.where(pushed > margin, b, a), opened, stuck)
-    trial = r[1:] - s[1:]
-    size = safe_sqrt(trial @ trial)
-    unit = safe_divide(1.0, size) * trial
-    turning = safe_divide(mu * r[0], size) * (jnp.eye(d - 1) - jnp.outer(unit, unit))
-    slid = LinearisedLaw(
-        jnp.append(s[0], r[1:] - mu * r[0] * unit),
-        zero.at[1:, 1:].set(jnp.eye(d - 1) - turning).at[1:, 0].set(-mu * unit),
-        zero.at[0, 0].set(1.0).at[1:, 1:].set(turning),
-        none.at[1:].set(-r[0] * unit),
-    )
-    slides = jax.lax.stop_gradient((size > mu * pushed + margin) | (mu <= 0))
-    choose = lambda a, b, c: jnp.where(pushed > margin, jnp.where(slides, c, b), a)
-    return jax.tree.map(choose, opened, stuck, slid)
+    closed = s
+    if r.shape[0] > 1:
+        trial = r[1:] - s[1:]
+        size = safe_sqrt(trial @ trial)
+        slid = jnp.append(s[0], r[1:] - mu * r[0] * safe_divide(1.0, size) * trial)
+        slides = jax.lax.stop_gradient((size > mu * pushed + margin) | (mu <= 0))
+        closed = jnp.where(slides, slid, s)
+    return jnp.where(pushed > margin, closed, r)

@@ -70,7 +70,7 @@ class FrictionContact(AbstractLinearProblem):
                 f"{owner} with {c} coefficients mu has {c} (without friction), {2 * c} (planar) or "
                 f"{3 * c} (spatial) rows, or as many as its directions {directions} say, not {m}."
             )
-        if not isinstance(self.mu, jax.core.Tracer) and bool(jnp.any(self.mu < 0)):
+        if not isinstance(self.mu, jax.core.Tracer) and np.any(np.asarray(self.mu) < 0):
             raise ValueError(f"mu of {owner} is {self.mu}; no coefficient may be negative.")
 
     @property

@@ -20,33 +20,59 @@ from jaxtyping import Array, Float
 from jaxclear.complementarity.problem import AbstractProblem, AbstractSolver, Outcome, Solution
 from jaxclear.complementarity.projected_gauss_seidel import Iterate
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.numerics import safe_divide
+from jaxclear.ground.numerics import safe_divide, safe_sqrt
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.quantity import Scalar, quantity
 
+# Newton steps for one joint: its start is off by less than half of the nearer slack.
+RELAXED_STEPS = 6
 # A change of friction that is larger than this share of the one before does not die away.
 DRIFTS = 0.9
 
 
-class Caught(NamedTuple):
-    """A ball whose friction holds it up to this `share` [1] of what it carries."""
-
-    share: Any
-
-
-class Opposed(NamedTuple):
-    """A ball whose friction opposes the sliding velocity `slip` [m/s]: its `share` [1] of what it
-    carries, by the size of the slip across that force."""
-
-    slip: tuple
-    share: Callable
-
-
-class Between(NamedTuple):
+class Interval(NamedTuple):
     """A force between two bounds [N], of which one or both may be infinite."""
 
     low: Any
     high: Any
+
+    def bounds(self, friction: Array) -> "Interval":
+        """The same at any friction."""
+        return self
+
+
+class OfReaction(NamedTuple):
+    """Friction between shares -low and high [1] of what a joint carries; `carried(T, ratio)`: the
+    forces [N] that it does at friction T of all, a sequence of vectors, where its own is `ratio`
+    [1] times the sum of their sizes."""
+
+    low: Any
+    high: Any
+    carried: Callable[[Array, Any], Sequence[sp.Vec]]
+
+    def bounds(self, friction: Array) -> Interval:
+        """The bounds at this friction of all, each with the load that friction there leaves."""
+        low, high = (
+            ratio * sp.total(sp.norm(force) for force in self.carried(friction, ratio))
+            for ratio in (-self.low, self.high)
+        )
+        return Interval(low, high)
+
+
+class Caught(NamedTuple):
+    """A ball whose friction holds it up to this `share` [1] of the force that it carries."""
+
+    share: Any
+    carried: Callable[[Array, Any], Sequence[sp.Vec]]
+
+
+class Opposed(NamedTuple):
+    """A ball whose friction opposes the sliding velocity `slip` [m/s]: its `share` [1] of the force
+    that it carries, by the size of the slip across that."""
+
+    slip: tuple
+    share: Callable
+    carried: Callable[[Array, Any], Sequence[sp.Vec]]
 
 
 class JointFriction(AbstractProblem):
@@ -55,10 +81,8 @@ class JointFriction(AbstractProblem):
     Args:
         delassus: rows of W [m/s per N], a sequence.
         free_velocity: sliding speeds s_0 without friction [m/s], a sequence.
-        ratios: for each joint a pair (a_k, b_k) [1], None without friction, `Caught` or `Opposed`
-            for a ball, or `Between` for a force whose bounds follow no reaction; a tuple.
-        carried: function (k, T, ratio) that returns the forces [N] that joint k carries at friction
-            T, a sequence of vectors; `ratio` [1] is T_k over the last sum of their sizes.
+        blocks: the law of each joint: `OfReaction`, None without friction, `Caught` or `Opposed`
+            for a ball, or `Interval` for a force whose bounds follow no reaction; a tuple.
         softest: least diagonal entries of W [m/s per N], a sequence: below them an entry is
             rounding, as where a drive moves the joint whatever friction does.
         places: place of each joint's components in z, a tuple of slices; None: one component each.
@@ -66,8 +90,7 @@ class JointFriction(AbstractProblem):
 
     delassus: Sequence[Any]
     free_velocity: Any
-    ratios: tuple[Any, ...]
-    carried: Callable[[int, Array, Any], Sequence[sp.Vec]]
+    blocks: tuple[Any, ...]
     softest: Any
     places: tuple[slice, ...] | None = None
 
@@ -84,21 +107,7 @@ class JointFriction(AbstractProblem):
 
     def components(self) -> int:
         """Number of components of z."""
-        return self.place(len(self.ratios) - 1).stop if self.ratios else 0
-
-    def load(self, k: int, friction: Float[Array, " k"], ratio: Any) -> Any:
-        """Load of a joint, of which its friction is a share: the sum of the sizes of the forces
-        that it carries.
-
-        Args:
-            k: index of the joint.
-            friction: friction of all joints [N], an array.
-            ratio: friction of the joint over its load [1]; of a ball three components.
-
-        Returns:
-            the load N_k [N].
-        """
-        return sp.total(sp.norm(force) for force in self.carried(k, friction, ratio))
+        return self.place(len(self.blocks) - 1).stop if self.blocks else 0
 
     def slip(self, i: int, friction: Float[Array, " k"]) -> Any:
         """One component of the sliding speeds.
@@ -112,51 +121,35 @@ class JointFriction(AbstractProblem):
         """
         return self.free_velocity[i] + sp.dot(self.delassus[i], friction)
 
-    def shares(self, k: int, friction: Float[Array, " k"], load: Any) -> Any:
-        """Friction of a joint over its load.
-
-        Args:
-            k: index of the joint.
-            friction: friction of all joints [N], an array.
-            load: load of the joint [N].
-
-        Returns:
-            the ratio [1]; of a ball a tuple of three.
-        """
-        place = self.place(k)
-        shares = [safe_divide(friction[i], load) for i in range(place.start, place.stop)]
-        return shares[0] if len(shares) == 1 else tuple(shares)
-
-    def improved(self, k: int, friction: Float[Array, " k"], load: Any) -> tuple[list, Any, Any]:
+    def improved(
+        self, k: int, friction: Float[Array, " k"], relaxation: Any = None
+    ) -> tuple[list, Any, Any]:
         """Friction of one joint that satisfies its law while that of the others stays.
 
         Args:
             k: index of the joint.
             friction: friction of all joints [N], an array.
-            load: load of the joint [N].
+            relaxation: share of the bound over which friction is rounded [1]; None: exact.
 
         Returns:
             components of T_k [N], the bound of their size [N], and whether they are within it.
         """
-        rule, place = self.ratios[k], self.place(k)
-        if isinstance(rule, (Caught, Opposed)):
-            return self._solve_ball(k, friction, rule)
-        i = place.start
-        if isinstance(rule, Between):
-            stiff = jnp.maximum(self.delassus[i][i], self.softest[i])
-            target = friction[i] - self.slip(i, friction) / stiff
-            friction_there = jnp.clip(target, rule.low, rule.high)
-            return [friction_there], jnp.abs(friction_there), friction_there == target
-        low, high = (share * load for share in rule)
+        block, i = self.blocks[k], self.place(k).start
+        if isinstance(block, (Caught, Opposed)):
+            return self._solve_ball(k, friction, block)
+        low, high = block.bounds(friction)
         stiff = jnp.maximum(self.delassus[i][i], self.softest[i])
         target = friction[i] - self.slip(i, friction) / stiff
-        friction_there = jnp.clip(target, -low, high)
-        return [friction_there], jnp.maximum(low, high), friction_there == target
+        within = jnp.clip(target, low, high)
+        if relaxation is not None and isinstance(block, OfReaction):
+            within = _relaxed(target, low, high, relaxation)
+        bound = jnp.maximum(jnp.abs(low), jnp.abs(high))
+        return [within], jnp.where(jnp.isfinite(bound), bound, jnp.abs(within)), within == target
 
     def _solve_ball(self, k: int, friction: Float[Array, " k"], rule: Any) -> tuple[list, Any, Any]:
         """A ball that would stick with friction inside the disc sticks; one that would not is moved
         against its slip onto the disc's edge."""
-        (force,) = self.carried(k, friction, (0.0,) * 3)
+        (force,) = rule.carried(friction, (0.0,) * 3)
         size = sp.norm(force)
         frame = across(tuple(safe_divide(x, size) for x in force))
         if isinstance(rule, Opposed):
@@ -194,14 +187,10 @@ class JointFriction(AbstractProblem):
 
     def residual(self, z, w):
         """Largest entry of the natural map of the boxes, T - proj(T - s / W_kk) [N]."""
-        total = jnp.zeros(len(self.ratios))
-        for _ in range(2):  # the second with the shares of friction that the first finds
-            loads = [self.load(k, z, self.shares(k, z, total[k])) for k in range(len(self.ratios))]
-            total = sp.stack(loads)
         residuals = [jnp.zeros(())]
-        for k, pair in enumerate(self.ratios):
-            if pair is not None:
-                improved, *_ = self.improved(k, z, total[k])
+        for k, block in enumerate(self.blocks):
+            if block is not None:
+                improved, *_ = self.improved(k, z)
                 residuals += [z[self.place(k).start + i] - x for i, x in enumerate(improved)]
         return jnp.max(jnp.abs(jnp.stack(residuals)))
 
@@ -218,10 +207,15 @@ class BoxedGaussSeidel(AbstractSolver):
     Args:
         tolerance: change of friction relative to its bound at which to stop [1], > 0.
         max_sweeps: largest number of sweeps over the joints [1], > 0.
+        relaxation: share of the bound B over which the corners of joints of one component are
+            rounded [1], > 0: that of interior points, the products of slacks and slips are
+            W (relaxation B / 2)^2 in the place of 0 (start: Chen & Harker 1993, SIAM J. Matrix
+            Anal. Appl. 14, 1168, doi:10.1137/0614081); None: exact.
     """
 
     tolerance: Scalar = quantity(1e-13, "1", above=0)
     max_sweeps: Scalar = quantity(1000.0, "1", above=0)
+    relaxation: Scalar | None = quantity(None, "1", above=0)
 
     def solve(self, problem: JointFriction) -> Solution:
         check_double_precision()
@@ -241,43 +235,41 @@ class BoxedGaussSeidel(AbstractSolver):
             friction, its last change relative to the largest bound, and the number of sweeps, an
             `Iterate`.
         """
-        start, loads = jnp.zeros(problem.components()), jnp.zeros(len(problem.ratios))
-        if all(pair is None for pair in problem.ratios):
+        start = jnp.zeros(problem.components())
+        if all(block is None for block in problem.blocks):
             return Iterate(start, jnp.zeros(()), jnp.zeros((), int))
 
         def unfinished(carry):
-            return (carry[2] > self.tolerance) & (carry[3] < self.max_sweeps)
+            return (carry[1] > self.tolerance) & (carry[2] < self.max_sweeps)
 
         def improve(carry):
-            before, total, last, sweeps = carry
-            friction, total, largest, within = self._sweep(problem, before, total)
+            before, last, sweeps = carry
+            friction, largest, within = self._sweep(problem, before)
             largest = jnp.where(largest > 0, largest, 1.0)
             change = jnp.max(jnp.abs(friction - before)) / largest
             if problem.components() > 1:
                 moved = _force_for_change(problem, friction - before) / largest
                 idle = within & (change > DRIFTS * last) & (moved <= self.tolerance)
                 change = jnp.where(idle, moved, change)
-            return friction, total, change, sweeps + 1
+            return friction, change, sweeps + 1
 
-        first = (start, loads, jnp.asarray(jnp.inf), jnp.zeros((), int))
-        friction, _, change, sweeps = jax.lax.while_loop(unfinished, improve, first)
+        first = (start, jnp.asarray(jnp.inf), jnp.zeros((), int))
+        friction, change, sweeps = jax.lax.while_loop(unfinished, improve, first)
         return Iterate(friction, change, sweeps)
 
-    def _sweep(self, problem: JointFriction, friction: Array, total: Array):
-        """(friction, loads, the largest bound, whether all that has changed is within its bounds)
-        after a sweep."""
+    def _sweep(self, problem: JointFriction, friction: Array):
+        """(friction, the largest bound, whether all that has changed is within its bounds) after a
+        sweep."""
         largest, all_within = jnp.zeros(()), jnp.asarray(True)
-        for k, pair in enumerate(problem.ratios):
-            if pair is None:
+        for k, block in enumerate(problem.blocks):
+            if block is None:
                 continue
-            load = problem.load(k, friction, problem.shares(k, friction, total[k]))
-            total = total.at[k].set(load)
-            improved, bound, within = problem.improved(k, friction, load)
+            improved, bound, within = problem.improved(k, friction, self.relaxation)
             for i, x in enumerate(improved, problem.place(k).start):
                 all_within &= within | (friction[i] == x)
                 friction = friction.at[i].set(x)
             largest = jnp.maximum(largest, bound)
-        return friction, total, largest, all_within
+        return friction, largest, all_within
 
 
 def _force_for_change(problem: JointFriction, change: Array) -> Any:
@@ -285,6 +277,23 @@ def _force_for_change(problem: JointFriction, change: Array) -> Any:
     stiff = [jnp.maximum(row[i], problem.softest[i]) for i, row in enumerate(problem.delassus)]
     moved = [sp.dot(row, change) / x for row, x in zip(problem.delassus, stiff, strict=True)]
     return jnp.max(jnp.abs(jnp.stack(moved)))
+
+
+def _relaxed(target: Any, low: Any, high: Any, relaxation: Any) -> Any:
+    """T with 1 / (T - low) - 1 / (high - T) in proportion to T - target: the complementarity of the
+    slacks and slips relaxed to one product. From a hyperbola at each bound (Chen & Harker 1993) by
+    Newton's method, which halves the way to a bound rather than to cross it.
+    """
+    width = relaxation * 0.5 * (high - low)
+    root = lambda y: safe_sqrt(y * y + width * width)
+    friction, product = 0.5 * (root(target - low) - root(target - high) + high + low), width**2 / 4
+    for _ in range(RELAXED_STEPS):
+        above, below = high - friction, friction - low
+        left, right = safe_divide(1.0, below), safe_divide(1.0, above)
+        missed = friction - target + product * (right - left)
+        change = missed / (1 + product * (left * left + right * right))
+        friction = friction - jnp.clip(change, -0.5 * above, 0.5 * below)
+    return friction
 
 
 def across(direction: tuple) -> tuple[tuple, tuple]:

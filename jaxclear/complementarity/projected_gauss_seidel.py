@@ -23,9 +23,11 @@ from jaxtyping import Array, Float, Int
 from jaxclear.complementarity.contact_states import (
     REGULAR,
     Scaled,
-    keep_states,
+    laws_missed,
+    least_solution,
     linearise_laws,
     scaled_contacts,
+    with_derivatives,
 )
 from jaxclear.complementarity.friction_cone import natural_map, one_contact, project_on_cone
 from jaxclear.complementarity.friction_contact import FrictionContact
@@ -84,32 +86,33 @@ class ProjectedGaussSeidel(AbstractSolver):
         finite = jnp.all(jnp.isfinite(jnp.concatenate([x.reshape(-1) for x in data])))
         finite = finite & jnp.all(problem.mu >= 0)
         blank = (jnp.eye(len(data[1])), jnp.zeros(()), jnp.zeros(()))
-        matrix, offset, mu = (
-            jax.lax.stop_gradient(jnp.where(finite, x, y)) for x, y in zip(data, blank, strict=True)
-        )
+
+        def posed(valid):
+            numbers = (jnp.where(valid, x, y) for x, y in zip(data, blank, strict=True))
+            return FrictionContact(*numbers, problem.sizes)
+
         # A library's elimination: the written-out one takes XLA minutes to compile.
-        last = self._iterate(
-            FrictionContact(matrix, offset, mu, problem.directions), None, in_kernel=False
-        )
+        last = self._iterate(jax.lax.stop_gradient(posed(finite)), None, in_kernel=False)
         solved = jnp.where(last.residual <= self.tolerance, Outcome.SOLVED, Outcome.LIMIT)
         outcome = jnp.where(finite & jnp.isfinite(last.residual), solved, Outcome.NOT_FINITE)
         r = jnp.where(jnp.isfinite(last.z), last.z, 0.0)
-        r = keep_states(r, outcome == Outcome.SOLVED, *data, problem.sizes)
+        # What is not solved is made harmless before it is differentiated.
+        is_solved = outcome == Outcome.SOLVED
+        known = posed(is_solved)
+        r = with_derivatives(lambda r: laws_missed(known, r, 0.0), r, least_solution)
         v = jnp.stack(problem.delassus) @ r + problem.free_velocity
         return Solution(r, v, problem.residual(r, v), outcome, last.sweeps)
 
     def iterate(
         self, problem: FrictionContact, start: Array | None = None, sweep: bool = False
     ) -> Iterate:
-        """The iteration itself, which a time step calls.
-
-        Its derivatives (forward) are those of the sweeps; where `start` is a solution there are
-        none, unless one `sweep` is taken all the same.
+        """The iteration itself, which a time step calls; for derivatives see `with_derivatives`.
 
         Args:
             problem: a `FrictionContact`.
             start: reactions to begin with, an array (m,) [as the problem's z]; None: zero.
-            sweep: whether to take one sweep in any case.
+            sweep: whether to take one sweep in any case: friction that moves nothing has no
+                residual.
 
         Returns:
             the last `Iterate`.
@@ -125,9 +128,8 @@ class ProjectedGaussSeidel(AbstractSolver):
         if start is not None:
             guess = [x / unit for x in problem.split(jnp.where(problem.acts, start, 0.0))]
         first = _sweep(scaled, tuple(guess)) if sweep else tuple(guess)
-        reactions, residual, sweeps = _sweep_until(
-            scaled, first, self.max_sweeps, self.tolerance, in_kernel
-        )
+        settings = self.max_sweeps, self.tolerance, in_kernel
+        reactions, residual, sweeps = _sweep_until(scaled, first, *settings)
         reaction = jnp.where(problem.acts, jnp.concatenate(reactions) * unit, 0.0)
         return Iterate(reaction, residual, sweeps)
 
@@ -198,8 +200,7 @@ def _damped_newton_step(
     they are in, brought back into their cones, and halved until it misses the laws by less or
     `HALVINGS` are used up.
     """
-    laws, lines = linearise_laws(problem, r, 0.0, damping)
-    value = jnp.concatenate([law.value for law in laws])
+    value, lines = linearise_laws(problem, r, damping)
     if in_kernel:
         change = jnp.stack(eliminate(lines, value))
     else:

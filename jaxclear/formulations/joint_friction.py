@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 
 from jaxclear.complementarity import BoxedGaussSeidel, JointFriction
-from jaxclear.complementarity.joint_friction import Between, Caught, Opposed
+from jaxclear.complementarity.joint_friction import Caught, Interval, OfReaction, Opposed
 from jaxclear.formulations.base import ContactReport
 from jaxclear.formulations.loads_over_step import LoadsInStep
 from jaxclear.formulations.model import Instant, Model
@@ -43,25 +43,23 @@ UNMOVED = 1e-12
 
 
 class NonCollidingSettings(NamedTuple):
-    """Most sweeps over the joints in a step, and change of the friction at which they end relative
-    to its bound."""
+    """Most sweeps over the joints in a step, change of the friction at which they end relative to
+    its bound, and the width over which friction is rounded at its bound, relative to it (None:
+    exact)."""
 
     max_sweeps: Any
     tolerance: Any
+    relaxation: Any | None
 
     def solver(self) -> BoxedGaussSeidel:
         """What finds the friction."""
-        return BoxedGaussSeidel(self.tolerance, self.max_sweeps)
+        return BoxedGaussSeidel(self.tolerance, self.max_sweeps, self.relaxation)
 
 
-def _carried(joints, response: FrictionResponse) -> Callable:
-    """The forces that joint k carries at some friction, as `JointFriction` asks for them."""
-
-    def carried(k, friction, ratio):
-        ends = joints[k].carrying_ends(*response.at(friction).reactions[k], ratio)
-        return [end.force for end in ends]
-
-    return carried
+def _carried(k: int, joint: Any, response: FrictionResponse) -> Callable:
+    """The forces that joint k carries at some friction, as laws of `JointFriction` ask for them."""
+    ends = lambda friction, ratio: joint.carrying_ends(*response.at(friction).reactions[k], ratio)
+    return lambda friction, ratio: [end.force for end in ends(friction, ratio)]
 
 
 def set_valued_friction(
@@ -82,20 +80,22 @@ def set_valued_friction(
         mass: of the mechanism, scale of what counts as immovable [kg].
         response: of the mechanism to friction.
     """
-    ratios: list[Any] = []
-    for joint, sliding in zip((one.joint for one in fixed), slips, strict=True):
+    blocks: list[Any] = []
+    for k, (joint, sliding) in enumerate(zip((one.joint for one in fixed), slips, strict=True)):
         if joint.friction is None:
-            ratios.append(None)
+            blocks.append(None)
             continue
         law, slip = joint.friction.coulomb(), [each.at(before) for each in sliding]
+        carried = _carried(k, joint, response)
         if joint.components > 1:
-            ratios.append(Caught(joint.friction_ratio(law.bound(sp.norm(tuple(slip))))))
+            share = joint.friction_ratio(law.bound(sp.norm(tuple(slip))))
+            blocks.append(Caught(share, carried))
             continue
         against = caught = joint.friction_ratio(law.bound(jnp.abs(slip[0])))
         if law.mu_static is not None:
             caught = joint.friction_ratio(law.bound(jnp.zeros_like(slip[0])))
-        pair = (jnp.where(slip[0] > 0, against, caught), jnp.where(slip[0] < 0, against, caught))
-        ratios.append(pair)
+        low, high = (jnp.where(back, against, caught) for back in (slip[0] > 0, slip[0] < 0))
+        blocks.append(OfReaction(low, high, carried))
     # What friction in each joint adds to each joint's slip at the step's end.
     rates = [each for part in slips for each in part]
     delassus = [
@@ -106,9 +106,8 @@ def set_valued_friction(
     softest = [
         UNMOVED * h * one.joint.arm**2 / mass for one in fixed for _ in range(one.joint.components)
     ]
-    carried = _carried([one.joint for one in fixed], response)
     free = [each.at(ahead) for each in rates]
-    return JointFriction(delassus, free, tuple(ratios), carried, softest, placed(fixed))
+    return JointFriction(delassus, free, tuple(blocks), softest, placed(fixed))
 
 
 def with_rows_of_loads(
@@ -136,7 +135,7 @@ def with_rows_of_loads(
     moves = [
         [h * along(rate.row, unit.accelerations) for unit in response.units] for rate in loads.rates
     ]
-    first, rules = problem.components(), list[Any]()
+    first, blocks = problem.components(), list(problem.blocks)
     for k, stop in enumerate(loads.stops):
         closed = stop.beyond - 0.5 * h * free[k] >= 0
         low, high = jnp.zeros(()), jnp.where(closed, jnp.inf, 0.0)
@@ -146,19 +145,15 @@ def with_rows_of_loads(
             low, high = jnp.where(followed, spring, low), jnp.where(followed, spring, high)
         struck = jnp.minimum(stop.opening.at(before), 0.0)
         free[k] = free[k] + stop.restitution(lightness) * jnp.where(closed, struck, 0.0)
-        rules.append(Between(low, high))
-    rules += [(rub.bound, rub.bound) for rub in loads.rubs]
-    joints = len(problem.ratios)
-    alone = [(1.0, 0.0, 0.0)]
-    carried = lambda k, *values: problem.carried(k, *values) if k < joints else alone
-    places = [problem.place(k) for k in range(joints)]
+        blocks.append(Interval(low, high))
+    blocks += [Interval(-rub.bound, rub.bound) for rub in loads.rubs]
+    places = [problem.place(k) for k in range(len(problem.blocks))]
     places += [slice(first + k, first + k + 1) for k in range(len(moves))]
     softest = [problem.softest[i] for i in range(first)] + [0.0] * len(moves)
     return JointFriction(
         [*problem.delassus, *moves],
         [*(problem.free_velocity[i] for i in range(first)), *free],
-        (*problem.ratios, *rules),
-        carried,
+        tuple(blocks),
         softest,
         tuple(places),
     )
@@ -185,7 +180,7 @@ def moved_to_stops(
     units = response.units[len(response.units) - len(loads.rates) :]
     rows = [stop.opening.row for stop in loads.stops]
     free = response.without.accelerations
-    matrix, rules, gaps = [], [], [-x for x in beyond]
+    matrix, blocks, gaps = [], list[Any](), [-x for x in beyond]
     for k, stop in enumerate(loads.stops):
         matrix.append([h * along(rows[k], unit.accelerations) for unit in units[: len(rows)]])
         is_fixed = forces[k] > 0
@@ -195,9 +190,8 @@ def moved_to_stops(
             struck = back * positive_part(-stop.opening.value) / matrix[k][k]
             gaps[k] = gaps[k] + positive_part(forces[k] - struck) / stop.side.stop.stiffness
         most = jnp.where(is_fixed, jnp.inf, 0.0)
-        rules.append(Between(-most, most))
-    alone = lambda *_: [(1.0, 0.0, 0.0)]
-    problem = JointFriction(matrix, gaps, tuple(rules), alone, [0.0] * len(rows))
+        blocks.append(Interval(-most, most))
+    problem = JointFriction(matrix, gaps, tuple(blocks), [0.0] * len(rows))
     result = SETTINGS.solver().iterate(problem).z
     each = list(zip([h * result[k] for k in range(len(rows))], units, strict=False))
     direction = [sp.total(x * unit.accelerations[j] for x, unit in each) for j in range(len(free))]
@@ -216,11 +210,11 @@ def regularised_friction(fixed, speeds, response: FrictionResponse) -> JointFric
     Raises:
         ValueError: a law is set-valued or has bristles.
     """
-    ratios: list[Any] = []
-    for one, speed in zip(fixed, speeds, strict=True):
-        law, slip = one.joint.friction, speed
+    blocks: list[Any] = []
+    for k, (one, slip) in enumerate(zip(fixed, speeds, strict=True)):
+        law, carried = one.joint.friction, _carried(k, one.joint, response)
         if law is None:
-            ratios.append(None)
+            blocks.append(None)
             continue
         if law.set_valued or law.bristles:
             raise ValueError(
@@ -231,19 +225,15 @@ def regularised_friction(fixed, speeds, response: FrictionResponse) -> JointFric
             )
         share = lambda size, one=one, law=law: one.joint.friction_ratio(law.coefficient(size))
         if one.joint.components > 1:
-            ratios.append(Opposed(tuple(slip), share))
+            blocks.append(Opposed(tuple(slip), share, carried))
             continue
         against = -jnp.sign(slip[0]) * share(jnp.abs(slip[0]))
-        ratios.append((-against, against))
-    places = placed(fixed)
-    count = sum(one.joint.components for one in fixed)
-    none, joints = jnp.zeros(len(response.units)), [one.joint for one in fixed]
-    carried = _carried(joints, response)
-    free = [none] * count
-    return JointFriction(free, none, tuple(ratios), carried, jnp.ones(count), places)
+        blocks.append(OfReaction(-against, against, carried))
+    count, none = sum(one.joint.components for one in fixed), jnp.zeros(len(response.units))
+    return JointFriction([none] * count, none, tuple(blocks), jnp.ones(count), placed(fixed))
 
 
-SETTINGS = NonCollidingSettings(200.0, 1e-13)
+SETTINGS = NonCollidingSettings(200.0, 1e-13, None)
 # Last change of friction in a search, relative to the largest, beyond which there is no answer.
 LOOSE = 1e-6
 

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from jaxclear.complementarity import FrictionContact
-from jaxclear.complementarity.contact_states import with_state_derivatives
+from jaxclear.complementarity.contact_states import laws_missed, with_derivatives
 from jaxclear.complementarity.joint_friction import across
 from jaxclear.components.clearance import CarryingEnd, carried_load
 from jaxclear.formulations.contact_rows import (
@@ -105,7 +105,8 @@ def as_reactions(numbers: Array) -> tuple[Reaction, ...]:
 def searched(
     search: Search, respond: Callable, start: Array, settings: MoreauJeanSettings
 ) -> tuple[Array, Any]:
-    """(impulses along all rows [N s], residual of the laws relative to the largest velocity).
+    """(impulses along all rows [N s], residual of the laws relative to the largest velocity), with
+    the derivatives of a solution of the laws.
 
     Args:
         search: contacts, joints and loads of the step.
@@ -113,29 +114,44 @@ def searched(
         start: impulses at which the iteration begins [N s].
         settings: of the solver.
     """
-    h = search.h
-    if not search.joints:
-        problem, guess, back = _problem(search, as_reactions(respond(start / h)), start)
-        out = settings.solver().iterate(problem, guess)
-        return back(with_state_derivatives(problem, out.z)), out.residual
+    reactions_at = lambda z: as_reactions(respond(z / search.h))
 
     def improve(carry):
-        z, numbers, _, sweeps = carry
-        old = as_reactions(numbers)
+        z, old, _, sweeps = carry
         problem, guess, back = _problem(search, old, z)
-        out = settings.solver().iterate(problem, guess, sweep=True)
+        out = settings.solver().iterate(problem, guess, sweep=bool(search.joints))
         z = back(out.z)
-        numbers = respond(z / h)
-        residual = jnp.maximum(out.residual, _residual(search, old, as_reactions(numbers), problem))
-        return z, numbers, residual, sweeps + jnp.maximum(out.sweeps, 1)
+        now = reactions_at(z)
+        residual = jnp.maximum(out.residual, _residual(search, old, now, problem))
+        return z, now, residual, sweeps + jnp.maximum(out.sweeps, 1)
 
     def unfinished(carry):
         _, _, residual, sweeps = carry
         return (residual > settings.tolerance) & (sweeps < settings.max_sweeps)
 
-    first = (start, respond(start / h), jnp.asarray(jnp.inf), jnp.zeros((), int))
-    z, _, residual, _ = jax.lax.while_loop(unfinished, improve, first)
-    return z, residual
+    first = (start, reactions_at(start), jnp.asarray(jnp.inf), jnp.zeros((), int))
+    z, _, residual, _ = (
+        jax.lax.while_loop(unfinished, improve, first) if search.joints else improve(first)
+    )
+    return with_derivatives(lambda z: _missed(search, respond, z), z), residual
+
+
+def _missed(search: Search, respond: Callable, z: Array) -> Array:
+    """What impulses along all rows miss of the laws with the reactions to them; of a ball's
+    friction also its part along the force that it carries."""
+    reactions = as_reactions(respond(z / search.h))
+    problem, guess, _ = _problem(search, reactions, z)
+    missed = laws_missed(problem, guess)
+    result, k = [missed[i] for i in range(search.first)], search.first
+    for joint in _loaded(search, reactions):
+        parts = [missed[k + 1 + i] for i in range(len(joint.axes))]
+        k += 1 + len(parts)
+        if joint.rows > 1:
+            axes = (*joint.axes, sp.cross(*joint.axes))
+            along_force = sp.dot(axes[-1], [z[joint.place + i] for i in range(joint.rows)])
+            parts = [sp.dot([*parts, along_force], part) for part in zip(*axes, strict=True)]
+        result += parts
+    return sp.stack(result)
 
 
 class Loaded(NamedTuple):

@@ -22,7 +22,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxclear.complementarity import FrictionContact, ProjectedGaussSeidel
-from jaxclear.complementarity.contact_states import with_state_derivatives
+from jaxclear.complementarity.contact_states import laws_missed, with_derivatives
 from jaxclear.formulations import contact_rows
 from jaxclear.formulations.contact_rows import (
     ContactPoint,
@@ -367,7 +367,8 @@ def project(
         jnp.stack([h * (most + jnp.abs(u)) - depth for most, u, depth in required]),
         jnp.zeros(len(contacts)),
     )
-    shifts = with_state_derivatives(problem, settings.solver().iterate(problem).z)
+    shifts = settings.solver().iterate(problem).z
+    shifts = with_derivatives(lambda shifts: laws_missed(problem, shifts), shifts)
     if settings.striking is not None:
         shifts = jnp.where(settings.striking, jax.lax.stop_gradient(shifts), shifts)
     moved, _ = normals.under([shifts[i] for i in range(len(contacts))])

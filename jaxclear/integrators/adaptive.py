@@ -179,7 +179,7 @@ class Adaptive(AbstractIntegrator):
         Args:
             model: of the run.
             start: of the run [s].
-            state: at the start, shape (n,).
+            state: array at the start, shape (n,).
         """
         through = model.layout.contacts and self.through_contacts
         return jnp.zeros(()), jnp.zeros(3) if through else None

@@ -277,7 +277,7 @@ class FixedStep(AbstractIntegrator):
         Args:
             model: of the run.
             start: of the run [s].
-            state: at the start, shape (n,).
+            state: array at the start, shape (n,).
         """
         if not model.layout.contacts:
             return None, None

@@ -124,7 +124,7 @@ class ImplicitStep(AbstractIntegrator):
         Args:
             model: of the run.
             start: of the run [s].
-            state: at the start, shape (n,).
+            state: array at the start, shape (n,).
         """
         last = self.formulation.warm_start(model, start, state)
         last = self._fixed(model, start, state, last)

@@ -56,7 +56,6 @@ from jaxclear.integrators.base import RIGID, AbstractIntegrator, Interval, divid
 from jaxclear.integrators.derivative_error import IMPACT_FIGURES, NO_SECOND, trusted_impacts
 from jaxclear.integrators.saltation import FIRST
 from jaxclear.multibody.length_scales import gaps_crossed
-from jaxclear.multibody.topology import rubbing_in
 from jaxclear.native import one_row
 
 # Contacts that strike in one step do so at once where their instants move alike, to this share.
@@ -301,8 +300,8 @@ class MoreauJean(AbstractIntegrator):
     (`through_impacts`): they are off by as much as places are relative to the gap, nan where
     impacts have made that grow to a hundredth, where those in other steps show that they are off by
     more, where contacts strike in one step that would not move alike, or where a run ends before it
-    takes an impact that is due: they want steps of a microsecond. Not where surfaces wear, nor
-    where ideal joints rub beside contacts: `jaxclear.sensitivity` is the way there.
+    takes an impact that is due: they want steps of a microsecond. Not where surfaces wear:
+    `jaxclear.sensitivity` is the way there.
 
     Args:
         step: largest step [s], > 0.
@@ -347,11 +346,8 @@ class MoreauJean(AbstractIntegrator):
 
     def beyond_touches(self, mechanism):
         joints = [mechanism.connections[name].joint for name in mechanism.topology.clearances]
-        if any(joint.maps() for joint in joints):
-            return "how surfaces that wear move with impacts"
-        if rubbing_in(mechanism.connections):
-            return "how friction in ideal joints moves with impacts"
-        return ""
+        worn = any(joint.maps() for joint in joints)
+        return "how surfaces that wear move with impacts" if worn else ""
 
     def beyond_flanks(self, mechanism):
         plays = (c.play for c in mechanism.couplings.values() if c.play is not None)

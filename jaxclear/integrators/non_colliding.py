@@ -44,6 +44,9 @@ class NonColliding(AbstractIntegrator):
         max_sweeps: largest number of sweeps over the joints in a step [1], >= 1; where they end
             far from the laws (a guide about to lock itself), the run ends and says so.
         tolerance: change of a joint's friction relative to its bound at which sweeps end [1], > 0.
+        relaxation: share of the bound over which Coulomb's law is rounded [1], > 0, by the
+            relaxation of interior points (products of slacks and slips are not 0): a joint then
+            creeps, and the error is of its order; None: the complementarity problem itself.
         regularised: whether to take a friction law as the function of the sliding speed that it is,
             for comparison: the joint creeps, and steps must be short compared with the time in
             which friction stops a joint that slides at the law's transition speed.
@@ -59,6 +62,7 @@ class NonColliding(AbstractIntegrator):
     step: Scalar = quantity(1e-3, "s", above=0)
     max_sweeps: Scalar = quantity(20_000.0, "1", at_least=1, kw_only=True)
     tolerance: Scalar = quantity(1e-13, "1", above=0, kw_only=True)
+    relaxation: Scalar | None = quantity(None, "1", above=0, kw_only=True)
     regularised: bool = eqx.field(static=True, default=False, kw_only=True)
 
     def with_finer_steps(self, share):
@@ -79,7 +83,7 @@ class NonColliding(AbstractIntegrator):
         return self.formulation.warm_start(model)
 
     def advance(self, model, interval, state, warm_start):
-        settings = NonCollidingSettings(self.max_sweeps, self.tolerance)
+        settings = NonCollidingSettings(self.max_sweeps, self.tolerance, self.relaxation)
 
         def step(time_step, state, last):
             end, last = self.formulation.step(model, time_step, state, last, settings)

@@ -108,7 +108,8 @@ class Variable(AbstractMechanismVariable):
             check_number("tolerance of a Variable", tolerance, above=0)
         self.where = where
         self.distribution = one_distribution("Variable", distribution, tolerance)
-        self.derived = tuple(_pair(one) for one in _listed(derived))
+        expect(derived, (list, tuple), "derived of a Variable", "a list of pairs of functions")
+        self.derived = tuple(_pair(one) for one in derived)
 
     def leaves(self, mechanism):
         return jax.tree.leaves(self.where(mechanism))
@@ -280,11 +281,6 @@ class Condition(AbstractFreeVariable, AbstractMechanismVariable):
 
     def identity(self, name, subject):
         return {f'what "{name}" does': self.acts, f'nominal of "{name}"': self.nominal}
-
-
-def _listed(derived: Any) -> Any:
-    expect(derived, (list, tuple), "derived of a Variable", "a list of pairs of functions")
-    return derived
 
 
 def _pair(pair: Any) -> tuple[Callable, Callable]:

@@ -11,12 +11,15 @@ import pytest
 
 import jaxclear as jc
 from jaxclear.complementarity import (
+    LCP,
     BoxedGaussSeidel,
     FrictionContact,
+    InteriorPoint,
     JointFriction,
     Outcome,
     ProjectedGaussSeidel,
 )
+from jaxclear.complementarity.joint_friction import OfReaction
 from tests.rigs.guide_by_hand import friction_problem
 from tests.rigs.lemke import lemke
 
@@ -79,13 +82,14 @@ def test_percussions_of_a_falling_slider(monkeypatch, mu):
 
 def corners(problem):
     """(W, s_0, the bounds' ratio, n at T = 0 and 1 without and with a ratio of 1) of one guide."""
+    (law,) = problem.blocks
     forces = lambda friction, ratio: jnp.stack(
-        [force[0] for force in problem.carried(0, jnp.full(1, friction), ratio)]
+        [force[0] for force in law.carried(jnp.full(1, friction), ratio)]
     )
     n = jnp.stack(
         [forces(t, ratio) for t, ratio in ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0))]
     )
-    return problem.delassus[0][0], problem.free_velocity[0], problem.ratios[0][0], n
+    return problem.delassus[0][0], problem.free_velocity[0], law.low, n
 
 
 @pytest.mark.filterwarnings("ignore:jaxclear runs a time loop through XLA:RuntimeWarning")
@@ -121,14 +125,22 @@ def test_boxes_in_closed_form():
     """A block pushed along the ground: it sticks below mu N, and slides beyond."""
     load, mass, step = 10.0, 2.0, 1e-2
     for push, expected in ((1.5, -1.5), (5.0, -2.0), (-5.0, 2.0)):
-        problem = JointFriction(
-            [[step / mass]], [push * step / mass], ((0.2, 0.2),), lambda *_: [(load, 0, 0)], [0.0]
-        )
+        law = OfReaction(0.2, 0.2, lambda *_: [(load, 0, 0)])
+        problem = JointFriction([[step / mass]], [push * step / mass], (law,), [0.0])
         found = BoxedGaussSeidel().solve(problem)
         assert found.solved and float(found.residual) < 1e-12
         np.testing.assert_allclose(found.z, expected, rtol=1e-12)
         np.testing.assert_allclose(found.w, (push + expected) * step / mass, atol=1e-15)
-    frictionless = JointFriction([[1.0]], [1.0], (None,), lambda *_: [(load, 0, 0)], [0.0])
+        rounded = BoxedGaussSeidel(relaxation=1e-3).solve(problem)
+        assert rounded.solved and abs(rounded.z[0] - expected) < 2e-3 * 0.2 * load
+        # 0 <= s+ perp B + T >= 0 and 0 <= B - T perp s- >= 0 as a linear problem of s+ and B - T.
+        bound, inverse = 0.2 * load, step / mass
+        matrix = np.array([[0.0, -1.0], [1.0, inverse]])
+        offset = np.array([2 * bound, -inverse * bound - push * step / mass])
+        by_path = InteriorPoint(inverse * (1e-3 * bound / 2) ** 2).solve(LCP(matrix, offset))
+        assert by_path.solved
+        np.testing.assert_allclose(bound - rounded.z[0], by_path.z[1], rtol=1e-8)
+    frictionless = JointFriction([[1.0]], [1.0], (None,), [0.0])
     assert BoxedGaussSeidel().solve(frictionless).z == 0.0
     lost = BoxedGaussSeidel(max_sweeps=1.0).solve(problem)
     assert lost.outcome == Outcome.LIMIT
@@ -140,13 +152,8 @@ def test_joints_that_stick_and_contradict_each_other_by_little_stop_what_they_ho
     sweeps that passed the difference on would end after 4e8 of them."""
     inverse, load, speed = 0.5, 10.0, 1.0
     rows = [[inverse, inverse], [inverse, inverse]]
-    problem = JointFriction(
-        rows,
-        [speed, speed * (1 + 1e-9)],
-        ((0.4, 0.4), (0.4, 0.4)),
-        lambda *_: [(load, 0, 0)],
-        [0.0, 0.0],
-    )
+    law = OfReaction(0.4, 0.4, lambda *_: [(load, 0, 0)])
+    problem = JointFriction(rows, [speed, speed * (1 + 1e-9)], (law, law), [0.0, 0.0])
     found = BoxedGaussSeidel().iterate(problem)
     assert int(found.sweeps) < 10 and float(found.residual) <= 1e-13
     np.testing.assert_allclose(found.z.sum(), -speed / inverse, rtol=2e-9)

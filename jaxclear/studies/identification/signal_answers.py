@@ -135,7 +135,9 @@ def _values(problem: Problem, study: SignalFits, rng: np.random.Generator) -> np
             drawn = rng.permutation(fits[0].values)[:each]
         else:
             nexts = [study.between[model][name] for name in fitted_names]
-            drawn = next_values(nexts, _correlation(fits), each, rng)
+            # Of what records tell of each unknown, in the mean.
+            alike = np.mean([np.atleast_2d(np.corrcoef(fit.values.T)) for fit in fits], axis=0)
+            drawn = next_values(nexts, alike, each, rng)
         of_model[model] = dict(zip(fitted_names, drawn.T, strict=True))
     values = np.stack([of_model[models[0]][name] for name in names], axis=1)
     for number, model in enumerate(models[1:], 1):
@@ -163,11 +165,6 @@ def next_values(
     heavy = np.sqrt(freedom / rng.chisquare(freedom, (count, 1)))
     scale, middle = [e.scale for e in estimates], [e.value for e in estimates]
     return np.array(middle) + np.array(scale) * heavy * normal
-
-
-def _correlation(fits: Sequence[SignalFit]) -> np.ndarray:
-    """Mean correlation (unknowns, unknowns) of what records tell of each unknown."""
-    return np.mean([np.atleast_2d(np.corrcoef(fit.values.T)) for fit in fits], axis=0)
 
 
 def _misfits(study: SignalFits, first: str) -> list[str]:

@@ -129,7 +129,8 @@ class LifeUntil(AbstractLifeResponse):
     sure: bool = eqx.field(static=True, default=False, kw_only=True)
 
     def __check_init__(self):
-        _check_quantity("LifeUntil", self.name, self.sure)
+        expect(self.name, str, "quantity of LifeUntil", 'a text, such as "depth"')
+        check_flags("LifeUntil", sure=self.sure)
 
     def __call__(self, life):
         length = life.until(self.name, float(self.limit))
@@ -168,11 +169,6 @@ def _error_at_end(life: WearLife, name: str, value: float) -> float:
         return CONFIDENCE * float(life.stages[-1].settled.responses()[name][1])
     errors = life.errors_of_volume if name.startswith(VOLUME) else life.errors
     return abs(value) * float(errors[-1])
-
-
-def _check_quantity(owner: str, quantity: str, sure: bool) -> None:
-    expect(quantity, str, f"quantity of {owner}", 'a text, such as "depth"')
-    check_flags(owner, sure=sure)
 
 
 class LifeExperiment(AbstractExperiment):

@@ -184,7 +184,7 @@ class Reliability(AbstractAnswer):
                 times = f"{ratio:.2g} times as much" if ratio >= 1 else f"1/{1 / ratio:.2g} of it"
                 sentences.append(
                     f"{_named(name)} says {other.value:.3g}, {times}: the limit is not "
-                    f"{_shape(name)} where parts fail."
+                    f"{'a plane' if name == 'form' else 'a paraboloid'} where parts fail."
                 )
         return sentences
 
@@ -214,10 +214,6 @@ def _named(method: str) -> str:
         "subset": "subset simulation",
     }
     return names[method]
-
-
-def _shape(method: str) -> str:
-    return "a plane" if method == "form" else "a paraboloid"
 
 
 def _overlap(one: Probability, other: Probability) -> bool:

@@ -173,7 +173,9 @@ def confirmed(
     """
     estimates = _without_unconfirmed(estimates)
     order = sorted(_by_certainty(estimates, size), key=lambda name: name != WIDEST)
-    estimates = _rounded(estimates, size)
+    # Errors hold what arithmetic leaves.
+    off = lambda estimate: float(np.hypot(estimate.error, size.rounding))
+    estimates = {name: one._replace(error=off(one)) for name, one in estimates.items()}
 
     def answer(value, error, method, verdict, trustworthy=False):
         verdict += "".join(
@@ -229,12 +231,6 @@ def _without_unconfirmed(estimates: dict[str, Estimate]) -> dict[str, Estimate]:
         return refused(f"{estimate.value:.4g}, but {which}, and {estimate.doubt}.")
 
     return {name: check(estimate) for name, estimate in estimates.items()}
-
-
-def _rounded(estimates: dict[str, Estimate], size: Size) -> dict[str, Estimate]:
-    """The estimates with errors that hold what arithmetic leaves."""
-    off = lambda estimate: float(np.hypot(estimate.error, size.rounding))
-    return {name: estimate._replace(error=off(estimate)) for name, estimate in estimates.items()}
 
 
 def _by_certainty(estimates: dict[str, Estimate], size: Size = Size()) -> list[str]:
