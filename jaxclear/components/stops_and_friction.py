@@ -255,11 +255,10 @@ class JointFriction(AbstractStateLoad):
 
     def for_inertia(self, inertia, delay, times):
         most: Any = self.torque
-        if isinstance(most, Pressed):
-            most = UNKNOWN * inertia
-        elif callable(most):
+        if callable(most):
             most = jnp.max(jax.vmap(self._friction_at)(times))
-        speed = jnp.maximum(most / inertia * delay, SLOWEST)
+        fastest = UNKNOWN if isinstance(most, Pressed) else most / inertia
+        speed = jnp.maximum(fastest * delay, SLOWEST)
         if self.settling_time is not None:
             return dataclasses.replace(self, presliding=speed * self.settling_time)
         deflection = jnp.maximum(4 * speed * delay, DEFLECTION)

@@ -117,6 +117,7 @@ def with_rows_of_loads(
     before: list,
     ahead: list,
     h: Any,
+    mass: Any,
 ) -> JointFriction:
     """The friction problem with loads whose force the step solves for, behind the joints.
 
@@ -130,6 +131,7 @@ def with_rows_of_loads(
             start, and
             to those at its end without friction and these loads.
         h: length of the step [s].
+        mass: of the mechanism, scale of what counts as immovable [kg].
     """
     free = [rate.at(ahead) for rate in loads.rates]
     moves = [
@@ -149,7 +151,7 @@ def with_rows_of_loads(
     blocks += [Interval(-rub.bound, rub.bound) for rub in loads.rubs]
     places = [problem.place(k) for k in range(len(problem.blocks))]
     places += [slice(first + k, first + k + 1) for k in range(len(moves))]
-    softest = [problem.softest[i] for i in range(first)] + [0.0] * len(moves)
+    softest = [problem.softest[i] for i in range(first)] + [UNMOVED * h / mass] * len(moves)
     return JointFriction(
         [*problem.delassus, *moves],
         [*(problem.free_velocity[i] for i in range(first)), *free],

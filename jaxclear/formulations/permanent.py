@@ -221,14 +221,14 @@ class PermanentContact(AbstractFormulation):
         before = [x - m for x, m in zip(v, middle, strict=True)]
         free = response.without.accelerations
         ahead = [x + h * free[j] for j, x in enumerate(before)]
+        mass = sp.total(link.mass for link in system.links)
         if self.regularised:
             speeds = [[slip.value for slip in joint] for joint in slips]
             problem = regularised_friction(joints, speeds, response)
         else:
-            mass = sp.total(link.mass for link in system.links)
             problem = set_valued_friction(joints, slips, before, ahead, h, mass, response)
         if loads.rates:
-            problem = with_rows_of_loads(problem, loads, response, before, ahead, h)
+            problem = with_rows_of_loads(problem, loads, response, before, ahead, h, mass)
         friction, misfit, _ = settings.solver().iterate(problem)
         answer = response.at(friction)
         after = [x + h * answer.accelerations[j] for j, x in enumerate(v)]

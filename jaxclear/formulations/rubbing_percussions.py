@@ -75,9 +75,9 @@ class JointInStep(NamedTuple):
 class Search(NamedTuple):
     """What a search starts from: the joints that friction moves, with their numbers among all that
     touch; what the contacts ask (None without); Delassus' matrix by contact rows and sliding
-    components, speeds of the latter at the step's end without friction; by joint the least that
-    friction is taken to move it [1/kg]; the step's length [s]; loads that rub, whose rows are the
-    last; (row, number, spring) of sides of stops that may give way."""
+    components, speeds of the latter at the step's end without friction; by joint and load that
+    rubs the least that friction is taken to move it [1/kg]; the step's length [s]; loads that rub,
+    whose rows are the last; (row, number, spring) of sides of stops that may give way."""
 
     joints: list[JointInStep]
     numbers: list[int]
@@ -175,8 +175,8 @@ class Loaded(NamedTuple):
 def _loaded(search: Search, reactions: tuple[Reaction, ...]) -> list[Loaded]:
     """The joints that friction moves under these reactions."""
     loaded, place = [], search.first
-    each = zip(search.joints, search.numbers, search.softest, strict=True)
-    for joint, number, softest in each:
+    # Behind the joints' numbers are those of loads.
+    for joint, number, softest in zip(search.joints, search.numbers, search.softest, strict=False):
         reaction = reactions[number]
         load, force = search.h * carried_load(joint.ends(reaction)), reaction.force
         axes: tuple = ((1,),)
@@ -185,8 +185,9 @@ def _loaded(search: Search, reactions: tuple[Reaction, ...]) -> list[Loaded]:
             axes = across(tuple(safe_divide(x, size) for x in force))
         loaded.append(Loaded(len(joint.moved), joint.share, load, axes, place, softest))
         place += len(joint.moved)
-    for k, rub in enumerate(search.rubs):
-        loaded.append(Loaded(1, 1.0, search.h * rub.bound, ((1,),), place + k, 0.0))
+    of_loads = search.softest[len(search.joints) :]
+    for k, (rub, softest) in enumerate(zip(search.rubs, of_loads, strict=True)):
+        loaded.append(Loaded(1, 1.0, search.h * rub.bound, ((1,),), place + k, softest))
     return loaded
 
 
@@ -443,11 +444,9 @@ def _search(
     free += [rub.sliding.at(ahead) for rub in loads.rubs]
     diagonal = middle.free_motion.diagonal
     # A joint that drives move slides whatever friction does (only rounding, of either sign,
-    # answers): there it is full.
-    softest = [
-        UNMOVED * sp.total([lightness(rate.row, diagonal) for rate in joints[k].moved])
-        for k in numbers
-    ]
+    # answers): there it is full. In a dead centre none moves.
+    moved = [*(joints[k].moved for k in numbers), *((rub.sliding,) for rub in loads.rubs)]
+    softest = [UNMOVED * sp.total([lightness(r.row, diagonal) for r in each]) for each in moved]
     rubbing = [joints[k] for k in numbers]
     rest = delassus.matrix(), free, softest, h, loads.rubs, springs_of(contacts)
     return Search(rubbing, numbers, required, *rest)

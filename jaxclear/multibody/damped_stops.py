@@ -9,9 +9,9 @@ import dataclasses
 from typing import Any
 
 import equinox as eqx
-import jax.numpy as jnp
 
 from jaxclear.components.load_base import AbstractCoordinateLoad, AbstractStateLoad
+from jaxclear.ground.numerics import safe_divide, safe_sqrt
 from jaxclear.ground.quantity import Scalar
 from jaxclear.laws.rebound import damping_ratio_of
 from jaxclear.multibody import constraints, dynamics, kinematics, tree
@@ -43,7 +43,7 @@ class StopOfRatio(AbstractCoordinateLoad):
     def damped(self, inertia: Any) -> AbstractCoordinateLoad:
         """The stop with its damping, for an inertia along its coordinate [kg m^2, kg]."""
         stop: Any = self.stop
-        damping = 2 * self.ratio * jnp.sqrt(stop.stiffness * inertia)
+        damping = 2 * self.ratio * safe_sqrt(stop.stiffness * inertia)
         return dataclasses.replace(stop, damping=damping)
 
 
@@ -66,7 +66,8 @@ def with_damped_stops(system: System, motions: tuple[Motion, ...]) -> System:
     if not stops:
         return system
     rows = [_coordinate_row(system, motions, stop.connection) for stop in stops.values()]
-    inertias = [1 / each for each in _inverse_inertia_along(system, motions, rows)]
+    # In a dead centre nothing moves along a coordinate: a damper has nothing to take.
+    inertias = [safe_divide(1.0, each) for each in _inverse_inertia_along(system, motions, rows)]
     pairs = zip(stops.items(), inertias, strict=True)
     damped = {name: stop.damped(inertia) for (name, stop), inertia in pairs}
     return dataclasses.replace(system, loads=system.loads | damped)

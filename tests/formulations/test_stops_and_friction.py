@@ -507,3 +507,49 @@ def test_bristles_end_at_their_bound_in_loops_of_diffrax(solver):
 
     # without the bound both were -0.089; steps end beside the instants at which bristles yield
     assert float(jax.jacfwd(end)(0.5)) == pytest.approx(-0.13643, rel=1e-2)
+
+
+def slider_crank_near_its_dead_centre(angle, load):
+    """Crank and rod in line, but for this angle of the crank; the crank is pushed."""
+    turn = jc.joint.Revolute()
+    return jc.Mechanism(
+        {
+            "crank": jc.Body(1.0, 0.01, com=(0.1, 0.0)),
+            "rod": jc.Body(0.5, 0.005, com=(0.25, 0.0)),
+            "slider": jc.Body(2.0, 0.01),
+        },
+        {
+            "O": jc.Connection(turn, "ground", "crank"),
+            "A": jc.Connection(turn, "crank", "rod", at=(0.2, 0.0)),
+            "B": jc.Connection(turn, "rod", "slider", at=(0.5, 0.0)),
+            "G": jc.Connection(jc.joint.Prismatic(), "ground", "slider", axis="x"),
+        },
+        {"load": load, "push": jc.load.JointTorque("O", 20.0)},
+        start={"O": angle},
+    )
+
+
+SPRINGY = jc.load.JointStop("G", lower=0.55, stiffness=1e5, restitution=0.4)
+DRY = jc.load.JointFriction("G", 30.0)
+
+
+@pytest.mark.parametrize(
+    ("load", "integrator"),
+    [
+        (SPRINGY, jc.integrator.ImplicitStep(1e-3)),
+        (DRY, jc.integrator.MoreauJean(1e-3)),
+        (DRY, jc.integrator.NonColliding(1e-3)),
+        pytest.param(SPRINGY, jc.integrator.Adaptive(), marks=SLOW),
+        pytest.param(DRY, jc.integrator.Adaptive(), marks=SLOW),
+    ],
+)
+def test_a_run_may_begin_in_a_dead_centre_where_nothing_moves_along_the_coordinate(
+    load, integrator
+):
+    runs = [
+        ran(slider_crank_near_its_dead_centre(angle, load), 0.15, integrator)
+        for angle in (0.0, 1e-6)
+    ]
+    exact, near = (np.asarray(run.coordinate("G")) for run in runs)
+    assert np.abs(near - 0.7).max() > 0.1
+    np.testing.assert_allclose(exact, near, rtol=0, atol=1e-5)
