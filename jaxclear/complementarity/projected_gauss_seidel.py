@@ -103,26 +103,33 @@ class ProjectedGaussSeidel(AbstractSolver):
         v = jnp.stack(problem.delassus) @ r + problem.free_velocity
         return Solution(r, v, problem.residual(r, v), outcome, last.sweeps)
 
-    def iterate(self, problem: FrictionContact, start: Array | None = None) -> Iterate:
+    def iterate(
+        self, problem: FrictionContact, start: Array | None = None, sweep: bool = False
+    ) -> Iterate:
         """The iteration itself, which a time step calls; for derivatives see `with_derivatives`.
 
         Args:
             problem: a `FrictionContact`.
             start: reactions to begin with, an array (m,) [as the problem's z]; None: zero.
+            sweep: whether to take one sweep in any case: friction that moves nothing has no
+                residual.
 
         Returns:
             the last `Iterate`.
         """
-        return self._iterate(problem, start, in_kernel=True)
+        return self._iterate(problem, start, in_kernel=True, sweep=sweep)
 
-    def _iterate(self, problem: FrictionContact, start: Array | None, in_kernel: bool) -> Iterate:
+    def _iterate(
+        self, problem: FrictionContact, start: Array | None, in_kernel: bool, sweep: bool = False
+    ) -> Iterate:
         scaled = scaled_contacts(problem)
         unit = scaled.size / scaled.weight
         guess = [jnp.zeros(d) for d in problem.sizes]
         if start is not None:
             guess = [x / unit for x in problem.split(jnp.where(problem.acts, start, 0.0))]
+        first = _sweep(scaled, tuple(guess)) if sweep else tuple(guess)
         settings = self.max_sweeps, self.tolerance, in_kernel
-        reactions, residual, sweeps = _sweep_until(scaled, tuple(guess), *settings)
+        reactions, residual, sweeps = _sweep_until(scaled, first, *settings)
         reaction = jnp.where(problem.acts, jnp.concatenate(reactions) * unit, 0.0)
         return Iterate(reaction, residual, sweeps)
 

@@ -6,7 +6,7 @@ that are being traced are not checked: they were when the mechanism was built wi
 """
 
 import dataclasses
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import Any, NoReturn
 
 import equinox as eqx
@@ -28,6 +28,7 @@ from jaxclear.components.joint.base import drive_of
 from jaxclear.components.load import AbstractLoad
 from jaxclear.ground.argument_errors import Renamed
 from jaxclear.ground.arguments import check_name, expect
+from jaxclear.ground.ordered import Ordered
 from jaxclear.ground.printing import (
     INDENT,
     fields_in_words,
@@ -55,12 +56,11 @@ from jaxclear.multibody.topology import (
 from jaxclear.multibody.validation import check_couplings
 
 
-class Parts(dict):
+class Parts(Ordered):
     """A dictionary of a built mechanism, in the order of its names, that cannot be changed in
     place. `|` and `copy` give a plain dictionary to build another mechanism from.
 
-    A node of a pytree; unlike JAX's own for dictionaries it keeps its names in their order. Raises
-    `TypeError` with a sentence where it is to be changed.
+    Raises `TypeError` with a sentence where it is to be changed.
     """
 
     def _refuse_change(self, *_: Any, **__: Any) -> NoReturn:
@@ -104,25 +104,6 @@ class Bodies(Parts):
 
     def items(self) -> Any:
         return [(name, self[name]) for name in self]
-
-
-def _register_pytree(kind: type[Parts]) -> None:
-    """Make a dictionary of a mechanism a node of a pytree."""
-
-    def unflatten(names: tuple[str, ...], parts: Iterable[Any]) -> Parts:
-        return kind(zip(names, parts, strict=True))
-
-    def flatten(parts: Parts) -> tuple[list[Any], tuple[str, ...]]:
-        return list(dict.values(parts)), tuple(parts)
-
-    def flatten_with_names(parts: Parts) -> tuple[list[tuple[Any, Any]], tuple[str, ...]]:
-        return [(jax.tree_util.DictKey(name), x) for name, x in dict.items(parts)], tuple(parts)
-
-    jax.tree_util.register_pytree_with_keys(kind, flatten_with_names, unflatten, flatten)
-
-
-_register_pytree(Parts)
-_register_pytree(Bodies)
 
 
 AS_NEEDED = "as the integrator needs it: by Projection where its steps open them, else by Baumgarte"
@@ -261,8 +242,7 @@ class Mechanism(AbstractQuantified):
         ValueError: with a sentence that names what is wrong.
     """
 
-    # `Parts`: read-only, and in the order of their names, by which the tree grows; JAX sorts the
-    # keys of other dictionaries where it changes a number.
+    # `Parts`: read-only, and in the order of their names, by which the tree grows.
     bodies: dict[str, Body]
     connections: dict[str, Connection]
     loads: dict[str, AbstractLoad]

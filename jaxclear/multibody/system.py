@@ -31,6 +31,7 @@ from jaxclear.components.load import (
 )
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.compiling import map_many
+from jaxclear.ground.ordered import Ordered
 from jaxclear.ground.pose import REST, Pose
 from jaxclear.multibody.contact_point import fitted_laws
 from jaxclear.multibody.loops import LENGTH, TURN, Closure, CoordinateSum, SummedCoordinate
@@ -135,17 +136,17 @@ class System(eqx.Module):
     links: tuple[Link, ...]
     closures: tuple[Closure, ...]
     closing: tuple[Any, ...]
-    bearings: dict[str, Bearing]
-    loads: dict[str, Any]
-    measured: dict[str, ClosureCoordinate]
-    load_markers: dict[str, tuple[tuple[int | None, Pose], ...]]
+    bearings: dict[str, Bearing] = eqx.field(converter=Ordered)
+    loads: dict[str, Any] = eqx.field(converter=Ordered)
+    measured: dict[str, ClosureCoordinate] = eqx.field(converter=Ordered)
+    load_markers: dict[str, tuple[tuple[int | None, Pose], ...]] = eqx.field(converter=Ordered)
     gravity: sp.Vec
     arm: Any
     topology: Topology = eqx.field(static=True)
-    load_closures: dict[str, Closure] = eqx.field(default_factory=dict)
-    transmissions: dict[str, Transmission] = eqx.field(default_factory=dict)
-    geared: dict[str, Geared] = eqx.field(default_factory=dict)
-    flanks: dict[str, Transmission] = eqx.field(default_factory=dict)
+    load_closures: dict[str, Closure] = eqx.field(converter=Ordered, default_factory=dict)
+    transmissions: dict[str, Transmission] = eqx.field(converter=Ordered, default_factory=dict)
+    geared: dict[str, Geared] = eqx.field(converter=Ordered, default_factory=dict)
+    flanks: dict[str, Transmission] = eqx.field(converter=Ordered, default_factory=dict)
 
 
 def _rotate_pose(pose: Pose, turn: sp.Mat) -> Pose:
