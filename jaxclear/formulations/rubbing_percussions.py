@@ -10,7 +10,13 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from jaxclear.complementarity import FrictionContact
-from jaxclear.complementarity.contact_states import laws_missed, with_derivatives
+from jaxclear.complementarity.contact_states import (
+    CORNER,
+    REGULAR,
+    laws_missed,
+    with_derivatives,
+)
+from jaxclear.complementarity.friction_cone import alart_curnier
 from jaxclear.complementarity.joint_friction import across
 from jaxclear.components.clearance import CarryingEnd, carried_load
 from jaxclear.formulations.contact_rows import (
@@ -144,7 +150,15 @@ def _missed(search: Search, respond: Callable, z: Array) -> Array:
     missed = laws_missed(problem, guess)
     result, k = [missed[i] for i in range(search.first)], search.first
     for joint in _loaded(search, reactions):
-        parts = [missed[k + 1 + i] for i in range(len(joint.axes))]
+        # In units of its own: a drive may move it, so that friction answers by rounding alone.
+        at = range(k + 1, k + 1 + len(joint.axes))
+        friction = sp.stack([guess[i] for i in at])
+        slip = sp.stack([problem.delassus[i] @ guess + problem.free_velocity[i] for i in at])
+        s = slip / problem.delassus[k + 1][k + 1]
+        s = s + REGULAR * (friction - jax.lax.stop_gradient(friction))
+        under = jnp.append(joint.load, friction), jnp.append(0.0, s)
+        law = alart_curnier(*under, joint.share, CORNER * joint.share * joint.load)
+        parts = [law[1 + i] for i in range(len(at))]
         k += 1 + len(parts)
         if joint.rows > 1:
             axes = (*joint.axes, sp.cross(*joint.axes))
@@ -248,10 +262,15 @@ def _residual(
     most, relative to the largest velocity."""
     largest, k = jnp.max(jnp.abs(problem.free_velocity)), search.first
     moved: list[Any] = []
-    for joint, number in zip(search.joints, search.numbers, strict=True):
+    for joint, number, softest in zip(search.joints, search.numbers, search.softest, strict=True):
         ends = zip(joint.ends(old[number]), joint.ends(now[number]), strict=True)
         change = sp.total(sp.norm(sp.minus(b.force, a.force)) for a, b in ends)
-        moved.append(search.h * joint.share * change * problem.delassus[k][k])
+        answer = problem.delassus[k][k]
+        velocity = search.h * joint.share * change * answer
+        # Friction that moves nothing loads the other joints all the same.
+        load = carried_load(joint.ends(now[number]))
+        relative = largest * safe_divide(change, load)
+        moved.append(jnp.where(answer > len(joint.moved[:2]) * softest, velocity, relative))
         k += 1 + (1 if len(joint.moved) == 1 else 2)
     return jnp.max(sp.stack([*moved, 0.0])) / jnp.where(largest > 0, largest, 1.0)
 

@@ -197,9 +197,10 @@ def load_steps(mechanism: Mechanism, integrator: AbstractIntegrator, times: Any)
 
 def _examine(functions: dict[str, Any], integrator: AbstractIntegrator, times: Any) -> LoadSteps:
     functions = on_host(functions)
-    if not functions or is_traced((functions, integrator, times)):
+    step, fixed = integrator.requested_step(), integrator.steps_between_saves
+    if not functions or is_traced((functions, step, integrator.breaks, times)):
         return LoadSteps(integrator, {})
-    step, fixed = concrete(integrator.requested_step()), integrator.steps_between_saves
+    step = concrete(step)
     # What is known of them is looked at, also where something else is being traced.
     with jax.ensure_compile_time_eval():
         breaks, missed = _find_breaks(Key(functions, np.asarray(times), step, fixed))

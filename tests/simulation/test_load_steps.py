@@ -129,6 +129,13 @@ def test_a_function_of_time_is_felt_however_shortly_it_acts(push):
     assert int(run.accepted_steps) < 20_000 and not run.warnings
 
 
+def test_a_run_within_a_program_of_the_user_feels_the_push_too():
+    """There the numbers of an integrator are traced, of which the looks need none."""
+    run = lambda mass: jc.simulate(pushed(pulse, mass), 60.0, save=2, throw=False)
+    end = jax.jit(lambda mass: run(mass).speed("G")[-1])
+    assert float(end(MASS)) == pytest.approx(impulse(pulse, 60.0) / MASS, rel=5e-5)
+
+
 def test_steps_end_at_breaks_that_are_asked_for():
     breaks = [0.0123, 0.0456]
     run = jc.simulate(pushed(5.0), 0.1, save=2, integrator=jc.integrator.Adaptive(breaks=breaks))
