@@ -131,8 +131,8 @@ def reliability(
             have no exact slopes.
         variation: required coefficient of variation of the probability [1], > 0; 0.1 by default.
         most_runs: largest number of runs of each sampling; 20 000 by default. Subset simulation
-            begins with eight repetitions, unless a search of 2360 runs finds no failure: the limit
-            is then reported as beyond all samples.
+            divides them among eight repetitions, after a search of at most some 2360 runs; where
+            this finds no failure, the limit is reported as beyond all samples.
         seed: seed of the random numbers; 0 by default.
         store: folder that keeps the runs; None (default) for none.
         progress_bar: whether to show the progress; False by default.
@@ -171,7 +171,7 @@ def reliability(
     sampled = "importance" in estimates and np.isfinite(estimates["importance"].value)
     # Something is known to fail by a sample, or a design point of the runs themselves.
     if looked and (sampled or (points and fitted is None) or not reach.beyond()):
-        estimates["subset"] = subset(model, variation, most_runs, seed)
+        estimates["subset"] = subset(model, variation, most_runs, seed, reach)
     if reach.sentence:
         nothing = refused(reach.sentence, model.runs)
         estimates = dict.fromkeys([*estimates, "subset"], nothing)

@@ -133,13 +133,10 @@ class Reliability(AbstractAnswer):
         known of it."""
         if self.method == "none":
             whys = {e.refusal for e in self.estimates.values()}
+            parts = ["No method has an answer.", *self._refusals()]
             if len(whys) == 1:
-                return " ".join(
-                    [f"No method has an answer: {whys.pop()}", *self.notes, *self.warnings]
-                )
-            return " ".join(
-                ["No method has an answer.", *self._refusals(), *self.notes, *self.warnings]
-            )
+                parts = [f"No method has an answer: {whys.pop()}"]
+            return " ".join([*parts, *self.notes, *self.warnings])
         best = self.estimates[self.method]
         text = f"P({self.limit.words()}) = {best.value:.3g}"
         if np.isfinite(best.variation):
@@ -151,9 +148,8 @@ class Reliability(AbstractAnswer):
             if self.method == "importance":
                 text += f" about {len(self.points)} design point{'s' * (len(self.points) != 1)}"
             if best.variation > self.asked_variation:
-                text += (
-                    f"; {self.asked_variation:.0%} were asked for and take more runs (most_runs)"
-                )
+                needed = best.runs * (best.variation / self.asked_variation) ** 2
+                text += f"; {self.asked_variation:.0%} takes about {needed:.1g} runs (most_runs)"
         else:
             text += f" by {_named(self.method)}, whose error is not known: sample to know it"
         parts = [f"{text}; {self.runs} runs in all.", *self._comparison(best), *self._failure(best)]
@@ -191,10 +187,9 @@ class Reliability(AbstractAnswer):
     def _failure(self, result: Probability) -> list[str]:
         if not self.failed:
             return []
-        text = f"{self.failed} runs did not reach their end"
-        if result.unknown > SMALL:
-            return [f"{text}; they count as failing, with {result.unknown:.1%} of the probability."]
-        return [f"{text}; they count as failing, with next to nothing of the probability."]
+        share = f"{result.unknown:.1%}" if result.unknown > SMALL else "next to nothing"
+        text = f"{self.failed} runs did not reach their end; they count as failing"
+        return [f"{text}, with {share} of the probability."]
 
     def _refusals(self) -> list[str]:
         methods: dict[str, list[str]] = {}

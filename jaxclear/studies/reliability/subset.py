@@ -4,7 +4,8 @@ Samples that are worst so far are seeds of chains that stay at least as bad; eac
 tenth. Where samples tie, a level takes the nearest share that parts them, and its seeds are drawn
 from all that it takes; where nothing parts them, those that fail are counted. Independent
 repetitions side by side tell the error, which single ones underestimate. A small one tells
-beforehand, by some two thousand runs, whether anything that fails is within reach.
+beforehand, by some two thousand runs, whether anything that fails is within reach, and where the
+limit of runs is tight how many levels there are, hence how large they may be.
 
 Source: Au & Beck 2001, Probab. Eng. Mech. 16, 263, doi:10.1016/S0266-8920(01)00019-4;
 Papaioannou, Betz, Zwirglmaier & Straub 2015, Probab. Eng. Mech. 41, 89,
@@ -24,6 +25,8 @@ from jaxclear.studies.reliability.models import Probability, RunModel, SurfaceMo
 # Share of the samples that a level keeps, samples of a level at first and at the most, repetitions
 # at first and added.
 SHARE, LEVEL, LARGEST, FIRST, MORE = 0.1, 1000, 8000, 8, 4
+# Samples of a chain.
+STEPS = round(1 / SHARE)
 # Share of steps that are to be taken, and the correlation of a chain's first steps.
 ACCEPTED, FIRST_SPREAD = 0.44, 0.6
 # Levels of a tenth at the most: rarer than one in 1e12 is not looked for.
@@ -41,7 +44,9 @@ PILOT = 200
 FAR = 1e-8
 
 
-def subset(model: RunModel, variation: float, most_runs: int, seed: int) -> Probability:
+def subset(
+    model: RunModel, variation: float, most_runs: int, seed: int, reach: "Reach"
+) -> Probability:
     """Probability of failing by subset simulation.
 
     It is too high by up to half the square of a single repetition's coefficient of variation,
@@ -51,15 +56,26 @@ def subset(model: RunModel, variation: float, most_runs: int, seed: int) -> Prob
     Args:
         model: margins by runs.
         variation: required coefficient of variation [1].
-        most_runs: largest number of runs; the first repetitions may exceed it.
+        most_runs: largest number of runs, of all repetitions together. Where it does not suffice
+            for the usual size of all possible levels, `reach` counts them first, and they are as
+            large as it allows.
         seed: of the samples.
+        reach: the small repetition.
     """
-    before, failed, level = model.runs, model.failed, LEVEL
+    level, new = LEVEL, FIRST
+    if most_runs < FIRST * LEVEL * (1 + (1 - SHARE) * MOST_LEVELS):
+        share, rare, looked = reach.search()
+        new = min(FIRST, most_runs // looked)
+        if new < MORE:
+            seen = f"{looked} runs say " + (f"about {share:.0e}" if share else f"below {rare:.0e}")
+            takes = f"an answer with its error takes at least {MORE * looked}"
+            return refused(f"most_runs={most_runs} is too small: {seen}, {takes}.", looked)
+        level = min(LEVEL, PILOT * most_runs // (new * looked) // STEPS * STEPS)
+    before, failed = model.runs, model.failed
     values, unknown, reached, cost = np.zeros(0), np.zeros(0), np.zeros(0), 0
     while True:
-        new = MORE if len(values) else FIRST
         start, rng = model.runs, np.random.default_rng([seed, 5, level, len(values)])
-        repeated = repetitions(model, new, level, rng)
+        repeated = repetitions(model, new, level, rng, most_runs=most_runs - (start - before))
         pairs_of_columns = zip((values, unknown, reached), repeated, strict=True)
         values, unknown, reached = (np.concatenate(pair) for pair in pairs_of_columns)
         cost += model.runs - start
@@ -71,9 +87,10 @@ def subset(model: RunModel, variation: float, most_runs: int, seed: int) -> Prob
         remaining = most_runs - (model.runs - before)
         if error <= variation or remaining < cost * MORE / len(values):
             break
+        new = MORE
         if single**2 > variation and level < LARGEST and remaining > 2 * cost / len(values) * FIRST:
             values, unknown, reached, cost = np.zeros(0), np.zeros(0), np.zeros(0), 0
-            level *= 2
+            level, new = 2 * level, FIRST
     runs, failed = model.runs - before, model.failed - failed
     if mean == 0.0:
         nothing = f"nothing that fails is found in {runs} runs"
@@ -112,6 +129,7 @@ def repetitions(
     count: int,
     rng,
     see: Callable[[np.ndarray, np.ndarray], None] = lambda normal, margins: None,
+    most_runs: float = np.inf,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Independent subset simulations; arrays (repetitions,) [1].
 
@@ -121,6 +139,8 @@ def repetitions(
         count: samples of a level.
         rng: random generator.
         see: function called with all samples (samples, variables) and margins (samples, limits).
+        most_runs: number of samples in all beyond which no level begins; what fails of the last
+            one is counted. Infinite by default.
 
     Returns:
         Shares that fail; shares of runs that did not reach their end; the rarest parts reached.
@@ -143,12 +163,13 @@ def repetitions(
     scales = np.array([_scale_of_margins(column[np.isfinite(column)]) for column in margins.T])
     margins = _system_margins(margins / scales, cuts).reshape(number, count)
     result, unknown, seed_count = np.zeros(number), np.zeros(number), int(SHARE * count)
-    share, open_ = np.ones(number), np.ones(number, bool)
+    share, open_, runs = np.ones(number), np.ones(number, bool), number * count
     while open_.any():
         level = np.array([_next_level(column, seed_count) for column in margins])
         # -inf where so many runs are lost that they are the level; nan where nothing parts the
         # samples, and those that fail are counted as they are.
-        done = open_ & ~(level > 0)
+        runs += int((open_ & (level > 0)).sum()) * (count - seed_count)
+        done = open_ & (~(level > 0) | (runs > most_runs))
         inside = (margins < 0).mean(axis=1)
         result[done] = share[done] * inside[done]
         unknown[done] = share[done] * np.isneginf(margins[done]).mean(axis=1)
@@ -211,10 +232,9 @@ def _system_margins(margins: np.ndarray, cuts) -> np.ndarray:
 def _run_chains(worst, seeds, margins, levels, rng) -> tuple[np.ndarray, np.ndarray]:
     """Chains from `seeds` (repetitions, chains, variables) with their `margins` that stay at or
     below the levels (repetitions,): (repetitions, samples, variables) and their margins."""
-    steps = round(1 / SHARE)
     spread = np.full(len(seeds), FIRST_SPREAD)
     places, values = [seeds], [margins]
-    for step in range(1, steps):
+    for step in range(1, STEPS):
         width = np.minimum(spread, 1.0)[:, None, None]
         moved = np.sqrt(1 - width**2) * places[-1] + width * rng.normal(size=seeds.shape)
         tried = worst(moved)
@@ -232,21 +252,26 @@ class Reach:
 
     model: RunModel
     seed: int
-    sentence: str | None = None
+    sentence: str = ""
     normal: np.ndarray | None = None
     margin: float = np.inf
+    result: tuple[float, float, int] | None = None
+
+    def search(self) -> tuple[float, float, int]:
+        """The share that fails, the rarest part reached [1], and the number of runs."""
+        if self.result is None:
+            rng, before = np.random.default_rng([self.seed, 7]), self.model.runs
+            (share,), _, (rare,) = repetitions(self.model, 1, PILOT, rng, self._note_samples)
+            self.result = float(share), float(rare), self.model.runs - before
+        return self.result
 
     def beyond(self) -> str:
         """A sentence where the limit lies beyond everything seen; "" where something fails, and
         where it is not known."""
-        if self.sentence is None:
-            rng, before = np.random.default_rng([self.seed, 7]), self.model.runs
-            (share,), _, (rare,) = repetitions(self.model, 1, PILOT, rng, self._note_samples)
-            self.sentence = ""
-            if not share > 0.0 and not rare > FAR and self.normal is not None:
-                runs = self.model.runs - before
-                far = f"{runs} runs down to parts as rare as {rare:.0e}"
-                self.sentence = self._nearest_text(self.normal, far)
+        share, rare, runs = self.search()
+        if not (self.sentence or share > 0.0 or rare > FAR or self.normal is None):
+            far = f"{runs} runs down to parts as rare as {rare:.0e}"
+            self.sentence = self._nearest_text(self.normal, far)
         return self.sentence
 
     def _note_samples(self, normal: np.ndarray, margins: np.ndarray) -> None:
