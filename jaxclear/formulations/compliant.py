@@ -195,7 +195,7 @@ class CompliantContact(AbstractFormulation):
             return ContactMotion(*jax.jvp(depths, (time, state), (1.0, flow)))
         return motion(time, state)
 
-    def has_damping(self, model: Model) -> bool:
+    def damped(self, model: Model) -> bool:
         """Whether some contact damps, so that its depth does not determine its force; flanks of
         play may.
 

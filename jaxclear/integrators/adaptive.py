@@ -245,7 +245,7 @@ class Adaptive(AbstractIntegrator):
             return formulation.remember(unpacked(args[0], rest), y, before, after, length)
 
         motion, derived = motion_of(formulation, rest), derivative if through else None
-        looks = formulation.has_damping(bare(rest)), bare(rest).events
+        looks = formulation.damped(bare(rest)), bare(rest).events
         solver = TakingImpactSpeeds(solver, remember, motion, derived, growth, so_far, *looks)
         return _following(solver, rest)
 

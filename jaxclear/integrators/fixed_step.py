@@ -282,7 +282,7 @@ class FixedStep(AbstractIntegrator):
         if not model.layout.contacts:
             return None, None
         contacts = self.formulation.contacts(model, start, state)
-        beside, damped = None, self.formulation.has_damping(model)
+        beside, damped = None, self.formulation.damped(model)
         if self._derivative(model) == BESIDE:
             beside = not_resolved(model.layout.size, len(contacts.depths), damped)
         return (contacts, jnp.ones(())), beside
@@ -333,7 +333,7 @@ class FixedStep(AbstractIntegrator):
         if kind == BESIDE:
             warm_start = so_far(warm_start)
         if warm_start[0] is not None:
-            peaks = no_peaks(warm_start[0][0].depths, self.formulation.has_damping(model))
+            peaks = no_peaks(warm_start[0][0].depths, self.formulation.damped(model))
             peaks = peaks if kind is None else since(interval.peaks, peaks)
         stop, pace = interval.stop, self.contact_steps
         shortest = None if pace is None else resolved(longest / pace, interval)
