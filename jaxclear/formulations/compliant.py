@@ -24,8 +24,8 @@ from jaxclear.formulations.base import (
 from jaxclear.formulations.contact_rows import (
     TimeStep,
     contact_points,
-    damped,
     follows_depth,
+    has_damping,
     laws_of_contacts,
 )
 from jaxclear.formulations.films_over_step import film_losses, films_of
@@ -202,7 +202,7 @@ class CompliantContact(AbstractFormulation):
         Args:
             model: the mechanism, a `Model`.
         """
-        return bool(model.layout.plays) or damped(model.system)
+        return bool(model.layout.plays) or has_damping(model.system)
 
     def normal_forces(self, model: Model, state: State, motion: ContactMotion) -> Any:
         """Normal force of every possible contact that damps; of flanks of play the torque.

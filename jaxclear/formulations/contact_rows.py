@@ -294,7 +294,7 @@ def follows_depth(laws: ContactLaws) -> bool:
     return laws.contact.lossless or laws.unfitted is not None
 
 
-def damped(system: System) -> bool:
+def has_damping(system: System) -> bool:
     """Whether some contact's largest force is not told by its depth."""
     return not all(map(follows_depth, laws_of_contacts(system)))
 

@@ -21,7 +21,7 @@ from jaxclear.formulations.contact_rows import (
     MiddleOfStep,
     TimeStep,
     by_joint,
-    damped,
+    has_damping,
     joint_reports,
     split,
 )
@@ -153,7 +153,7 @@ def blank_start(model: Model) -> WarmStart:
         reactions=(Reaction((0.0,) * 3, (0.0,) * 3),) * len(rubbing_joints(system)),
         films=[(0.0,) * AXES] * len(films_of(system)),
         surplus=still if counts else [],
-        forces=none if damped(system) else [],
+        forces=none if has_damping(system) else [],
     )
 
 

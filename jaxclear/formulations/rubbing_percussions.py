@@ -262,7 +262,7 @@ def _residual(
     most, relative to the largest velocity."""
     largest, k = jnp.max(jnp.abs(problem.free_velocity)), search.first
     moved: list[Any] = []
-    for joint, number, softest in zip(search.joints, search.numbers, search.softest, strict=True):
+    for joint, number, softest in zip(search.joints, search.numbers, search.softest, strict=False):
         ends = zip(joint.ends(old[number]), joint.ends(now[number]), strict=True)
         change = sp.total(sp.norm(sp.minus(b.force, a.force)) for a, b in ends)
         answer = problem.delassus[k][k]

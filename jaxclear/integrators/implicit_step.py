@@ -10,7 +10,7 @@ from jaxtyping import Array
 
 from jaxclear.formulations import contact_rows
 from jaxclear.formulations.compliant import CompliantContact
-from jaxclear.formulations.contact_rows import TimeStep, damped
+from jaxclear.formulations.contact_rows import TimeStep, has_damping
 from jaxclear.formulations.films_over_step import films_of
 from jaxclear.formulations.loop_closing import closed
 from jaxclear.formulations.midpoint_step import surplus
@@ -131,7 +131,7 @@ class ImplicitStep(AbstractIntegrator):
         if self._derivative(model) is None:
             return last, None
         separate = not_resolved(
-            model.layout.size, model.layout.joint_contacts, damped(model.system)
+            model.layout.size, model.layout.joint_contacts, has_damping(model.system)
         )
         return last, separate
 
@@ -204,7 +204,7 @@ class ImplicitStep(AbstractIntegrator):
         if contacts:
             last = last._replace(depths=_worn_deeper(model, interval.start, state, last.depths))
             first_depths = positive_part(last.depths)
-            peaks = no_peaks(first_depths, damped(model.system))._replace(depths=first_depths)
+            peaks = no_peaks(first_depths, has_damping(model.system))._replace(depths=first_depths)
             peaks = peaks if kind is None else since(before, peaks)
 
         def one(index, state, carried):

@@ -36,7 +36,7 @@ from jaxclear.studies.tolerance.fit import (
     Capability,
     Fit,
 )
-from jaxclear.studies.tolerance.zones import AbstractZone, Size, with_numbers
+from jaxclear.studies.tolerance.zones import AbstractZone, Size, write_out_frame
 from jaxclear.studies.variable import AbstractMechanismVariable, Variable
 
 GENERAL = re.compile(r"\s*ISO\s*2768(?:-1)?\s*-?\s*([fmcv])\s*")
@@ -222,7 +222,7 @@ def _prepare_marker(mechanism: Mechanism, name: str, zone: AbstractZone, plane: 
         )
     joint, _, side = zone.marker.rpartition(".")
     c = mechanism.connections[joint]
-    ends = {"parent": c.parent, "child": c.child} | {side: with_numbers(marker, zone, plane)}
+    ends = {"parent": c.parent, "child": c.child} | {side: write_out_frame(marker, zone, plane)}
     changed = dict(mechanism.connections.items()) | {joint: Connection(c.joint, **ends)}
     return rebuilt(mechanism, connections=changed)
 

@@ -376,7 +376,7 @@ def leaned(marker: Marker, x: Any, y: Any) -> Marker:
     return eqx.tree_at(lambda tree: tree.quaternion, marker, tuple(map(jnp.asarray, rotated)))
 
 
-def with_numbers(marker: Marker, zone: AbstractZone, plane: bool) -> Marker:
+def write_out_frame(marker: Marker, zone: AbstractZone, plane: bool) -> Marker:
     """The marker with numbers in place of a named axis and an absent origin, where a zone moves
     them.
 
