@@ -194,10 +194,7 @@ class AbstractIntegrator(AbstractQuantified):
             the largest residual of all steps, relative to the largest velocity, or to the bound of
             the friction [1]; None where steps solve for nothing.
         """
-        formulation = self.formulation
-        if not formulation.forces_are_means or not formulation.impulses(model.system):
-            return None
-        return jax.tree.leaves(warm_start)[0][-1]
+        return None
 
     @property
     def opens_loops(self) -> bool:

@@ -359,6 +359,9 @@ class MoreauJean(AbstractIntegrator):
         moves = nothing_moved(state, warm_start) if may_strike(model.system) else None
         return warm_start, moves
 
+    def law_residual(self, model, warm_start):
+        return warm_start[0][-1] if self.formulation.impulses(model.system) else None
+
     @property
     def _settings(self):
         return MoreauJeanSettings(

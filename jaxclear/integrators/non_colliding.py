@@ -82,6 +82,9 @@ class NonColliding(AbstractIntegrator):
     def first_warm_start(self, model, start, state):
         return self.formulation.warm_start(model)
 
+    def law_residual(self, model, warm_start):
+        return warm_start[-1] if self.formulation.impulses(model.system) else None
+
     def advance(self, model, interval, state, warm_start):
         settings = NonCollidingSettings(self.max_sweeps, self.tolerance, self.relaxation)
 

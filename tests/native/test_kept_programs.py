@@ -248,7 +248,7 @@ def test_files_count_by_what_stands_in_them(tmp_path):
 def test_a_package_that_was_installed_a_moment_ago_keeps_its_programs(tmp_path):
     """As the first command after an installation does."""
     shutil.copytree(ROOT / "jaxclear", tmp_path / "site" / "jaxclear")
-    program = "from jaxclear.native.forms import surroundings; surroundings()"
+    program = "from jaxclear.native.forms import environment_of_program as read; read()"
     environment = os.environ | {"PYTHONPATH": str(tmp_path / "site")}
     subprocess.run([sys.executable, "-c", program], env=environment, cwd=tmp_path, check=True)
 

@@ -19,7 +19,7 @@ from jaxclear.studies.design.verification import Verifier, _finite
 from jaxclear.studies.experiment import Cost, Description, ResponseInfo, SampleResult
 from jaxclear.studies.infinite_responses import replace_infinite, successes
 from jaxclear.studies.reliability.models import RunModel
-from jaxclear.studies.reliability.subset import subset
+from jaxclear.studies.reliability.subset import Reach, subset
 from jaxclear.studies.statistics.scrambled import ordinary_quantile
 from jaxclear.studies.store.workers import failures
 
@@ -212,7 +212,8 @@ def test_a_share_is_told_beside_lives_that_are_smaller_and_no_infinite_error_is_
     found = np.ones((2, 1 + GROUPS, 2))
     found[0, 3, 0] = np.inf
     verifier = Verifier(question_of(lasting, share, share), None, 0)
-    nothing = np.zeros((64, 1)), np.ones(64, bool), np.zeros(64, np.int64)
+    alike, codes = [np.zeros(64)] * 2, np.zeros(64, np.int64)
+    nothing = alike, np.zeros((64, 1)), np.ones(64, bool), codes
     assert verifier._make_check(found, *nothing).errors.tolist() == [np.inf, 0.0]
 
 
@@ -290,7 +291,7 @@ class Followed(RunModel):
 def test_subset_simulation_takes_no_endless_answer_for_a_lost_run(lasting, share, sense):
     model = Followed(lasting, jc.limit_state.Below("life", LIMIT))
     model.share, model.sense = share, sense
-    found = subset(model, 0.2, 20_000, 0)
+    found = subset(model, 0.2, 20_000, 0, Reach(model, 0))
     assert found.unknown == 0.0
     if share > 0.0:
         assert found.interval[0] <= (1e-3 if sense > 0 else 0.3) <= found.interval[1]
