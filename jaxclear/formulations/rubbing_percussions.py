@@ -122,10 +122,15 @@ def searched(
     """
     reactions_at = lambda z: as_reactions(respond(z / search.h))
 
+    # Slips of joints of a loop that stick agree as well as the loop is closed, and sweeps pass that
+    # difference on without end: a turn takes as many as there may be turns.
+    most = jnp.sqrt(settings.max_sweeps) if search.joints else settings.max_sweeps
+    solver = settings._replace(max_sweeps=most).solver()
+
     def improve(carry):
         z, old, _, sweeps = carry
         problem, guess, back = _problem(search, old, z)
-        out = settings.solver().iterate(problem, guess, sweep=bool(search.joints))
+        out = solver.iterate(problem, guess, sweep=bool(search.joints))
         z = back(out.z)
         now = reactions_at(z)
         residual = jnp.maximum(out.residual, _residual(search, old, now, problem))

@@ -2,6 +2,7 @@
 and beside other rungs."""
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -221,3 +222,38 @@ def test_derivatives_of_an_impact_that_rubs_are_those_of_its_closed_form():
     # The step's own error: one of 1050.
     np.testing.assert_allclose(by_mu, -percussion / BLOCK * left, rtol=2e-3)
     np.testing.assert_allclose(by_clearance, MU * percussion / BLOCK / FALL, rtol=1e-6)
+
+
+def test_joints_of_a_loop_that_stick_leave_sweeps_for_the_loads_that_they_carry():
+    """As a crank is driven back all three stick in one step; more sweeps change nothing."""
+    dry = jc.friction.Coulomb(mu_kinetic=0.2)
+    rig = jc.Mechanism(
+        {
+            "crank": jc.Body(1.0, 0.01, com=(0.1, 0.0)),
+            "rod": jc.Body(0.5, 0.005, com=(0.25, 0.0)),
+            "slider": jc.Body(2.0, 0.01),
+        },
+        {
+            "O": jc.Connection(jc.joint.PlainBearing(dry, radius=0.02), "ground", "crank"),
+            "A": jc.Connection(
+                jc.joint.PlainBearing(dry, radius=0.02), "crank", "rod", at=(0.2, 0.0)
+            ),
+            "B": jc.Connection(jc.joint.Revolute(), "rod", "slider", at=(0.5, 0.0)),
+            "G": jc.Connection(jc.joint.Slideway(dry), "ground", "slider", axis="x"),
+        },
+        {
+            "gravity": jc.load.Gravity(),
+            "push": jc.load.JointTorque("O", lambda t: 20.0 * jnp.cos(12 * t)),
+            "stop": jc.load.JointStop("G", lower=0.6, stiffness=1e5, restitution=0.4),
+        },
+        start={"O": 0.5},
+    )
+    runs = [
+        jc.simulate(
+            rig, 0.14, save=2, integrator=jc.integrator.MoreauJean(1e-4, max_sweeps=n), verify=False
+        )
+        for n in (200, 20000)
+    ]
+    assert not any("missed the laws" in warning for run in runs for warning in run.warnings)
+    ends = [np.asarray(run.coordinate("O")) for run in runs]
+    np.testing.assert_allclose(ends[0], ends[1], rtol=0, atol=1e-9)
