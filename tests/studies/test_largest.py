@@ -31,6 +31,11 @@ def test_the_largest_value_is_below_the_closed_form_by_no_more_than_its_error(li
     beyond = min(trial.value for trial in answer.trials if trial.excess > 0)
     assert answer.value < beyond < answer.value * (1 + 2e-3)
     assert "play may be " in answer.sentence() and "at most: there the" in answer.sentence()
+    # The bracket is narrower than the error, so the trial above fails by its error alone.
+    near = "only the error is beyond it: more samples make it smaller."
+    assert answer.sentence().endswith(near)
+    coarse = jc.largest(problem(), "play", limit, (10e-6, 300e-6), accuracy=0.99, samples=1024)
+    assert near not in coarse.sentence()
     assert answer.table()["holds"].sum() == sum(trial.excess <= 0 for trial in answer.trials)
 
 

@@ -10,7 +10,8 @@ from scipy import integrate, stats
 from scipy.special import ndtr
 
 import jaxclear as jc
-from jaxclear.studies.reliability.subset import Reach
+from jaxclear.studies.reliability.models import RunModel
+from jaxclear.studies.reliability.subset import Reach, subset
 from tests.rigs.limit_states import CASES, case
 
 Normal = jc.distribution.Normal
@@ -104,6 +105,15 @@ def test_subset_simulation_keeps_to_its_limit_of_runs():
     few = ask(5.0, 1000).sentence()
     assert "most_runs=1000 is too small: 1280 runs say about" in few and "at least 5120" in few
     assert "10% takes about" in ask(5.0, 10_000).sentence()
+
+
+def test_what_a_first_search_sees_is_said_where_the_limit_of_runs_ends_the_levels():
+    """It was said that samples that are alike do not tell where the limit lies."""
+    plane, limit = standard(lambda a, b: a + b), Above("response", 30.0)
+    reach = Reach(RunModel(plane, limit, False), 0, result=(1e-10, 1e-9, 200))
+    refusal = subset(reach.model, 0.1, 2000, 0, reach).refusal
+    assert refusal.startswith("a first search says about 1e-10, which takes more runs (most_runs)")
+    assert "alike" not in refusal
 
 
 @pytest.mark.parametrize("limit", [2.0, 4.0, 5.0])

@@ -86,10 +86,13 @@ class Largest(AbstractAnswer):
         if best is None:
             ends = " and ".join(f"at {place(t)} {result(t)}" for t in self.trials)
             return f"{self.variable} keeps the limit ({bound}) at neither end of its range: {ends}."
-        value, there = place(best), f"there {result(best)}"
+        start, there = f"{self.variable} may be {place(best)}", f"there {result(best)} ({bound})"
         if best is self.trials[-1]:
-            return f"{self.variable} may be {value}, the largest of its range: {there} ({bound})."
-        return f"{self.variable} may be {value} at most: {there} ({bound}), by {self.runs} runs."
+            return f"{start}, the largest of its range: {there}."
+        above = self.trials[self.trials.index(best) + 1]
+        text = f"{start} at most: {there}, by {self.runs} runs."
+        error = f" At {place(above)} only the error is beyond it: more samples make it smaller."
+        return text + error * (above.excess <= above.error)
 
     def _stated(self):
         read = lambda part: [getattr(trial, part) for trial in self.trials]

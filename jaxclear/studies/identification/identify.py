@@ -225,7 +225,7 @@ def answered(context: RegressedStatistics, record: Measurement) -> Identified:
         unknown_of(problem, name, row, context.tellers[name])
         for name, row in zip(problem.names, rows, strict=True)
     )
-    explained = fitted.distance(here)
+    explained, signal_count = fitted.distance(here), len(stats) // len(context.statistics)
     if explained <= STRANGE and not _too_few(len(sample.values)):
         unknowns = unexplained(unknowns)
     joint = _draw_jointly(fitted, here, [unknown.verdict == NOT for unknown in unknowns])
@@ -243,7 +243,7 @@ def answered(context: RegressedStatistics, record: Measurement) -> Identified:
         np.stack(values, axis=1),
         len(sample.values),
         sample.failed,
-        f"by {len(here)} statistics of {len(stats) // len(context.statistics)} signals",
+        f"by {len(here)} statistics of {signal_count} signal{'s' * (signal_count != 1)}",
         remarks,
         explained,
         Evidence(fitted, {n: (runs, stats[n][0]) for n, runs in context.kinds.items()}, joint),

@@ -153,19 +153,16 @@ def reliability(
     reach = Reach(model, seed)
     points, fitted, notes = _find_design_points(model, surface, names, seed, reach)
     estimates: dict[str, Probability] = {}
+    none = _none(fitted, limit, notes)
     if "form" in names:
-        estimates["form"] = (
-            Probability(form(points), runs=model.runs) if points else _none(fitted, limit, notes)
-        )
+        estimates["form"] = Probability(form(points), runs=model.runs) if points else none
     if "sorm" in names:
-        estimates |= _sorm_answers(
-            model if fitted is None else SurfaceModel(fitted, limit), model, points
-        )
+        search = model if fitted is None else SurfaceModel(fitted, limit)
+        estimates |= _sorm_answers(search, model, points)
     if "importance" in names:
         settings = variation, most_runs, seed
-        estimates["importance"] = _sample_at_points(
-            model, fitted, points, settings, notes
-        ) or _none(fitted, limit, notes)
+        by_points = _sample_at_points(model, fitted, points, settings, notes)
+        estimates["importance"] = by_points or none
     missed = "importance" in estimates and not estimates["importance"].variation <= variation
     looked = "subset" in names or (methods is None and missed)
     sampled = "importance" in estimates and np.isfinite(estimates["importance"].value)

@@ -16,6 +16,14 @@ from jaxclear.studies.surface.response_surface import ResponseSurface
 
 # Methods that know their own error.
 SAMPLED = ("importance", "subset")
+# Methods in a sentence.
+NAMES = {
+    "form": "FORM",
+    "breitung": "SORM (Breitung)",
+    "tvedt": "SORM (Tvedt)",
+    "importance": "importance sampling",
+    "subset": "subset simulation",
+}
 # A small share of a probability, of which nothing is said.
 SMALL = 1e-3
 
@@ -144,14 +152,14 @@ class Reliability(AbstractAnswer):
             text += (
                 f", coefficient of variation {best.variation:.1%} (95 %: {low:.3g} to {high:.3g})"
             )
-            text += f", by {_named(self.method)}"
+            text += f", by {NAMES[self.method]}"
             if self.method == "importance":
                 text += f" about {len(self.points)} design point{'s' * (len(self.points) != 1)}"
             if best.variation > self.asked_variation:
                 needed = best.runs * (best.variation / self.asked_variation) ** 2
                 text += f"; {self.asked_variation:.0%} takes about {needed:.1g} runs (most_runs)"
         else:
-            text += f" by {_named(self.method)}, whose error is not known: sample to know it"
+            text += f" by {NAMES[self.method]}, whose error is not known: sample to know it"
         parts = [f"{text}; {self.runs} runs in all.", *self._comparison(best), *self._failure(best)]
         return " ".join([*parts, *self._refusals(), *self.notes, *self.warnings])
 
@@ -170,7 +178,7 @@ class Reliability(AbstractAnswer):
             if name in SAMPLED:
                 if not _overlap(e, other):
                     sentences.append(
-                        f"{_named(name).capitalize()} says {other.value:.3g} and contradicts it: "
+                        f"{NAMES[name].capitalize()} says {other.value:.3g} and contradicts it: "
                         "one of the two does not find all that fails."
                     )
             elif not e.interval[0] <= other.value <= e.interval[1]:
@@ -179,7 +187,7 @@ class Reliability(AbstractAnswer):
                     continue
                 times = f"{ratio:.2g} times as much" if ratio >= 1 else f"1/{1 / ratio:.2g} of it"
                 sentences.append(
-                    f"{_named(name)} says {other.value:.3g}, {times}: the limit is not "
+                    f"{NAMES[name]} says {other.value:.3g}, {times}: the limit is not "
                     f"{'a plane' if name == 'form' else 'a paraboloid'} where parts fail."
                 )
         return sentences
@@ -195,20 +203,8 @@ class Reliability(AbstractAnswer):
         methods: dict[str, list[str]] = {}
         for name, estimate in self.estimates.items():
             if estimate.refusal:
-                methods.setdefault(estimate.refusal, []).append(_named(name))
+                methods.setdefault(estimate.refusal, []).append(NAMES[name])
         return [f"{' and '.join(names)}: {why}" for why, names in methods.items()]
-
-
-def _named(method: str) -> str:
-    """A method in a sentence."""
-    names = {
-        "form": "FORM",
-        "breitung": "SORM (Breitung)",
-        "tvedt": "SORM (Tvedt)",
-        "importance": "importance sampling",
-        "subset": "subset simulation",
-    }
-    return names[method]
 
 
 def _overlap(one: Probability, other: Probability) -> bool:

@@ -94,15 +94,16 @@ def subset(
     runs, failed = model.runs - before, model.failed - failed
     if mean == 0.0:
         nothing = f"nothing that fails is found in {runs} runs"
-        endless = [
-            model.problem.description.responses[part.response].infinite
-            for part in model.limit.limits()
-        ]
+        described = model.problem.description.responses
+        endless = [described[part.response].infinite for part in model.limit.limits()]
         if any(endless):
             why = f"infinite responses say nothing of how near they are ({' '.join(endless)})"
             return refused(f"{nothing}; {why}.", runs, failed)
         rarest = float(reached.mean())
-        if rarest > FAR:
+        if reach.result and reach.result[0] > 0.0:
+            seen = f"a first search says about {reach.result[0]:.0e}"
+            nothing = f"{seen}, which takes more runs (most_runs); {nothing}"
+        elif rarest > FAR:
             # None of independent samples of the last level: less than this with 95 %.
             rarest *= 1 - 0.05 ** (1 / (level * len(values)))
             nothing = f"samples that are alike do not tell where the limit lies; {nothing}"
