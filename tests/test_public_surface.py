@@ -16,9 +16,6 @@ import pytest
 
 import jaxclear
 from jaxclear.ground.quantity import AbstractQuantified
-from jaxclear.results.singular_position import SingularPosition
-from jaxclear.studies.design.cost import AbstractCost
-from jaxclear.studies.experiment import ResponseInfo
 
 PINNED = Path(__file__).parent / "refdata" / "public_surface.json"
 
@@ -167,42 +164,6 @@ def test_numbers_that_could_be_swapped_are_given_by_name(law):
     if sum("unit" in field.metadata for field in dataclasses.fields(law)) > 1:
         with pytest.raises((TypeError, ValueError)):
             law(0.25, 0.5)
-
-
-def test_an_old_argument_works_and_warns_of_the_new_one():
-    with pytest.warns(FutureWarning, match=r"given of sensor.Series is called is_input now"):
-        assert jaxclear.sensor.Series("speed", given=True).is_input
-    with pytest.raises(TypeError, match="Series has no argument"):
-        jaxclear.sensor.Series("speed", found=True)
-    with pytest.raises(TypeError, match='Series has no argument "given"'):
-        jaxclear.sensor.Series("speed", given=True, is_input=False)
-
-
-def test_an_old_member_works_and_warns_of_the_new_one():
-    rig = jaxclear.scenes.slider_crank()
-    with pytest.warns(FutureWarning, match="given of Mechanism is called start_arguments now"):
-        assert rig.given == rig.start_arguments
-    allowed = ResponseInfo(promise=(1.0, 0.0))
-    with pytest.warns(FutureWarning, match="promised of .*ResponseInfo is called tolerance now"):
-        assert allowed.promised(2.0) == allowed.tolerance(2.0) == 1.0
-    ended, singular = jaxclear.integrator.Outcome, SingularPosition("A", 0.1, is_reversed=False)
-    with pytest.warns(FutureWarning, match="SUNK_IN of .*Outcome is called PENETRATION_EXCEEDED"):
-        assert ended.SUNK_IN is ended.PENETRATION_EXCEEDED
-    with pytest.warns(FutureWarning, match="passed of .*SingularPosition is called is_passed now"):
-        assert singular.passed and singular.is_passed
-
-
-def test_a_class_that_overrides_an_old_member_overrides_the_new_one():
-    with pytest.warns(FutureWarning, match="known of Stepped is called tolerance_range now"):
-
-        class Stepped(AbstractCost):
-            def __call__(self, tolerance):
-                return 1 / tolerance
-
-            def known(self):
-                return 1.0, 2.0
-
-    assert Stepped().tolerance_range() == (1.0, 2.0)
 
 
 def test_completion_shows_public_names_alone_and_families_are_imported_by_name():

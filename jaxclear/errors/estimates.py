@@ -15,7 +15,6 @@ from jaxtyping import Bool, Float
 
 from jaxclear.components.surface import AbstractSurface
 from jaxclear.errors.observables import label_of
-from jaxclear.ground.argument_errors import Renamed
 from jaxclear.ground.numerics import safe_divide
 from jaxclear.ground.quantity import is_traced
 from jaxclear.ground.table import as_table
@@ -54,10 +53,6 @@ class StandardAnswer(NamedTuple):
     chaotic: bool
 
     @property
-    def promised(self) -> Any:
-        return Renamed("tolerance", "promised").__get__(self, type(self))
-
-    @property
     def name(self) -> str:
         """The answer with its place."""
         return label_of(self.answer, self.place)
@@ -87,7 +82,6 @@ class Verified(AbstractVerification):
     remedy: str = eqx.field(static=True)
     why: str = eqx.field(static=True, default="")
     coarser: Trajectory | None = None
-    promised = Renamed("tolerance")
 
     @property
     def entries(self) -> tuple[StandardAnswer, ...]:

@@ -42,9 +42,6 @@ from jaxclear.files.forms import (
 )
 from jaxclear.files.numeric_tables import from_scipy, table_of, time_table
 from jaxclear.files.text import Misread, Node, misread, plain_text
-from jaxclear.ground.argument_errors import (
-    with_new_arguments,
-)
 from jaxclear.ground.quantity import members_of_union
 from jaxclear.ground.wording import described, listed, public_name, unknown
 from jaxclear.integrators.adaptive import Adaptive
@@ -449,7 +446,6 @@ class Called(NamedTuple):
 def _build_part(called: Called, entries: dict, node: Node, path: str, folder: Path) -> Any:
     """What a class or function, told by its name and arguments, makes of what is given."""
     name, build, forms = called
-    entries = with_new_arguments(name, forms, entries)
     code = [word for word, argument in forms.items() if argument.needed and argument.form is None]
     if code:
         raise misread(

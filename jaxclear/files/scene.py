@@ -40,7 +40,7 @@ from jaxclear.files.forms import (
 from jaxclear.files.parts import Part, mapping_schema
 from jaxclear.files.places import NumberPlaces, check_numbers
 from jaxclear.files.text import JSON, YAML, Misread, Node, misread, parse_values, text_of
-from jaxclear.ground.argument_errors import answering, with_new_arguments
+from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_flags, check_name, expect
 from jaxclear.ground.quantity import AbstractQuantified
 from jaxclear.ground.wording import described, listed, unknown
@@ -427,11 +427,10 @@ def _read_mapping(node: Node, what: str, names: Any) -> dict[str, Node]:
     """The values of a mapping whose names are known."""
     if not isinstance(node.value, dict):
         raise misread(node, what, f"is {node.words}; it must be a mapping of {listed(names)}.")
-    entries = with_new_arguments(what, names, node.value)
-    for name, entry in entries.items():
+    for name, entry in node.value.items():
         if name not in names:
             raise misread(entry, what, unknown("entry", name, names))
-    return entries
+    return node.value
 
 
 def _read_correlation(node: Node, folder: Path) -> Any:

@@ -14,7 +14,6 @@ from jaxclear.components.clearance import CarryingEnd
 from jaxclear.components.coupling import AbstractCoupling
 from jaxclear.formulations.model import Instant, Model
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.argument_errors import Renamed
 from jaxclear.ground.quantity import concrete
 from jaxclear.multibody.forces import Forces
 from jaxclear.multibody.mechanism import Mechanism
@@ -60,7 +59,6 @@ class AbstractFormulation(eqx.Module):
     """
 
     forces_are_means: eqx.AbstractClassVar[bool]
-    seen = Renamed("modelled")
 
     @property
     def rubs_as_coulombs(self) -> bool:

@@ -5,18 +5,16 @@ Python's own errors name neither what there is nor what was probably meant. Noth
 call that is right.
 """
 
-import enum
 import functools
 import importlib.util
 import inspect
 import re
-from collections.abc import Callable, Container
+from collections.abc import Callable
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 import equinox as eqx
 
-from jaxclear.ground.warning import warn
 from jaxclear.ground.wording import as_typed, described, final_members, listed, meant, public_name
 
 if TYPE_CHECKING:
@@ -34,62 +32,6 @@ ARGUMENT = re.compile(
 KEYWORDS = (inspect.Parameter.KEYWORD_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
 ORDERED = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
 
-# Arguments that have new names, by the old ones; these work for one version and warn.
-RENAMED_ARGUMENTS = {"found": "fits", "given": "is_input"}
-
-
-class Renamed:
-    """A member of a class or an enumeration by its old name: it warns, and is the `new` one.
-
-    Members of a named tuple do not learn their `name`.
-    """
-
-    def __init__(self, new: str, name: str = ""):
-        self.new, self.name = new, name
-
-    def __set_name__(self, owner: type, name: str) -> None:
-        self.name = name
-
-    def __get__(self, instance: Any, owner: type) -> Any:
-        if instance is None and not issubclass(owner, enum.Enum):
-            return self
-        self.warn_of(public_name(owner))
-        return getattr(owner if instance is None else instance, self.new)
-
-    def warn_of(self, owner: str) -> None:
-        """Says the new name of the owner's member."""
-        sentence = f"{self.name} of {owner} is called {self.new} now"
-        warn(f"{sentence}; the old name goes in the next version.", FutureWarning)
-
-
-def _rename_members(name: str, bases: tuple, namespace: dict) -> dict:
-    """What a class defines, what it overrides by an old name under the new one."""
-    for base in bases:
-        for old in [*namespace]:
-            member = getattr(base, old, None)
-            if isinstance(member, Renamed) and not isinstance(namespace[old], Renamed):
-                member.warn_of(name)
-                namespace = {member.new if n == old else n: x for n, x in namespace.items()}
-    return namespace
-
-
-def with_new_arguments(owner: str, parameters: Container[str], args: dict) -> dict:
-    """Arguments under their new names; warns of old ones.
-
-    Args:
-        owner: name of the class or function in the warning.
-        parameters: names that it takes now.
-        args: arguments by name, as given.
-    """
-    for old, new in RENAMED_ARGUMENTS.items():
-        if old in args and old not in parameters and new in parameters and new not in args:
-            sentence = (
-                f"{old} of {owner} is called {new} now; the old name goes in the next version."
-            )
-            warn(sentence, FutureWarning)
-            args = {new if name == old else name: value for name, value in args.items()}
-    return args
-
 
 class PublicMeta(ModuleMeta):
     """Of classes of which `help` shows what users call, by the names that they type."""
@@ -106,7 +48,6 @@ class AnsweringMeta(PublicMeta):
     """Of classes that refuse wrong arguments with a sentence."""
 
     def __new__(mcs, name: str, bases: tuple, namespace: dict, **kwargs: Any):
-        namespace = _rename_members(name, bases, namespace)
         check = namespace.get("__check_init__")
         if check is not None and any(isinstance(base, AnsweringMeta) for base in bases):
             namespace = namespace | {"__check_init__": _check_after_fields(check)}
@@ -121,8 +62,6 @@ class AnsweringMeta(PublicMeta):
                 f"{public_name(cls)} is what a family has in common and cannot be built; it needs "
                 f"a class of its own{''.join(f', such as {one}' for one in members)}."
             )
-        if not kwargs.keys().isdisjoint(RENAMED_ARGUMENTS):
-            kwargs = with_new_arguments(public_name(cls), cls.__dataclass_fields__, kwargs)
         try:
             return ModuleMeta.__call__(cls, *args, **kwargs)
         except TypeError:
@@ -160,10 +99,6 @@ def answering(function: Callable[P, R]) -> Callable[P, R]:
 
     @functools.wraps(function)
     def called(*args: P.args, **kwargs: P.kwargs) -> R:
-        if not kwargs.keys().isdisjoint(RENAMED_ARGUMENTS):
-            parameters = inspect.signature(function).parameters
-            renamed: Any = with_new_arguments(public_name(function), parameters, kwargs)
-            kwargs = renamed
         try:
             return function(*args, **kwargs)
         except TypeError:

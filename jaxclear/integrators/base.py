@@ -20,7 +20,6 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxclear.formulations.base import AbstractFormulation
 from jaxclear.formulations.contact_rows import TimeStep
 from jaxclear.formulations.model import Model, State
-from jaxclear.ground.argument_errors import Renamed
 from jaxclear.ground.quantity import AbstractQuantified, Scalar
 from jaxclear.integrators.checks import Outcome
 from jaxclear.integrators.events import Events, Peaks, Watch, watch_from, watched
@@ -124,9 +123,6 @@ class AbstractIntegrator(AbstractQuantified):
     pathwise: eqx.AbstractClassVar[bool]
     projects: eqx.AbstractClassVar[bool]
     breaks = None
-    asked_step = Renamed("requested_step")
-    held = Renamed("with_max_step")
-    known_states = Renamed("check_derivatives")
 
     @property
     @abstractmethod

@@ -17,7 +17,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from jaxclear.ground.argument_errors import Renamed
 from jaxclear.ground.outcome import AbstractOutcome
 from jaxclear.ground.printing import AbstractShown
 from jaxclear.ground.quantity import constant, is_traced, on_numbers
@@ -93,11 +92,6 @@ class Outcome(AbstractOutcome):
         "of its ways to assemble meet lies between the two. Vary its numbers less, or give start= "
         "or guess= for more joints.",
     )
-
-    SUNK_IN = Renamed("PENETRATION_EXCEEDED")
-    LAWS_NOT_MET = Renamed("LAWS_NOT_SATISFIED")
-    LOOP_TORN = Renamed("LOOP_OPEN")
-    OFF_THE_WALLS = Renamed("GUIDE_RANGE_EXCEEDED")
 
     @property
     def began(self) -> bool:

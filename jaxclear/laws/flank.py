@@ -11,7 +11,7 @@ from typing import Any
 
 import equinox as eqx
 
-from jaxclear.ground.argument_errors import Renamed, nothing_else
+from jaxclear.ground.argument_errors import nothing_else
 from jaxclear.ground.quantity import Scalar
 from jaxclear.laws.law import AbstractLaw
 from jaxclear.laws.transmission import bounded_damper
@@ -31,7 +31,6 @@ class AbstractFlankLaw(AbstractLaw):
     has_twist: eqx.AbstractClassVar[bool]
     separates_by_torque: eqx.AbstractClassVar[bool]
     needs_damping: eqx.AbstractClassVar[bool]
-    left_by_torque = Renamed("separates_by_torque")
 
     @abstractmethod
     def torque(self, elastic: Scalar, viscous: Any) -> Scalar:

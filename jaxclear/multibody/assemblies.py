@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxclear.ground.argument_errors import Renamed, answering
+from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_count, check_flags, expect
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.printing import AbstractShown
@@ -40,7 +40,6 @@ class Assemblies(AbstractShown):
     smallest: Float[np.ndarray, " modes"]
     counts: Int[np.ndarray, " modes"]
     samples: int = eqx.field(static=True)
-    found = Renamed("counts")
 
     def __len__(self) -> int:
         return len(self.distance)

@@ -26,7 +26,6 @@ from jaxclear.components.coupling import AbstractCoupling
 from jaxclear.components.joint import AbstractJoint
 from jaxclear.components.joint.base import drive_of
 from jaxclear.components.load import AbstractLoad
-from jaxclear.ground.argument_errors import Renamed
 from jaxclear.ground.arguments import check_name, expect
 from jaxclear.ground.ordered import Ordered
 from jaxclear.ground.printing import (
@@ -254,7 +253,6 @@ class Mechanism(AbstractQuantified):
     topology: Topology = eqx.field(static=True)
     # Names in `start`, `speeds` and `guess` as they were given: what is given first is held first.
     order: tuple[str, ...] = eqx.field(static=True)
-    given = Renamed("start_arguments")
 
     def __init__(
         self,

@@ -5,7 +5,6 @@ are not determined.
 
 import equinox as eqx
 
-from jaxclear.ground.argument_errors import Renamed
 from jaxclear.ground.printing import with_text_repr
 
 
@@ -31,8 +30,6 @@ class SingularPosition(eqx.Module):
     drives: tuple[str, ...] = eqx.field(static=True, default=())
     is_reversed: bool | None = eqx.field(static=True, default=None)
     speeds: tuple[float, float] = eqx.field(static=True, default=(0.0, 0.0))
-    turned = Renamed("is_reversed")
-    passed = Renamed("is_passed")
 
     @property
     def is_passed(self) -> bool:

@@ -18,7 +18,6 @@ from jaxclear.components.joint.base import drive_of
 from jaxclear.formulations.base import AbstractFormulation, model_of
 from jaxclear.formulations.model import Instant, Model
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.argument_errors import Renamed
 from jaxclear.ground.arguments import check_count, check_flags, expect
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.quantity import AbstractQuantified, Scalar
@@ -288,7 +287,6 @@ class State(AbstractQuantified):
     worn: dict[str, dict[str, Array]] | None = None
     concentric: bool = eqx.field(static=True, default=True)
     motion: SavedMotion | None = None
-    begins = Renamed("start_time")
 
     def __init__(
         self, worn: Any = None, *, concentric: bool = True, motion: SavedMotion | None = None

@@ -15,7 +15,7 @@ from jaxclear.components.load_base import acts_on_coordinates
 from jaxclear.formulations.loads_over_step import forces_of_means, impulse_of
 from jaxclear.formulations.model import Instant
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.argument_errors import Renamed, answering
+from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.table import as_table
 from jaxclear.multibody import constraints
 from jaxclear.multibody.forces import force_of, load_rows, pressing_of
@@ -50,7 +50,6 @@ class CouplingHistory(AbstractHistory):
     torque: Float[Array, " time"] = measured_field("N m")
     loss: Float[Array, " time"] = measured_field("W")
     flank: Int[Array, " time"] = measured_field("1")
-    lost = Renamed("loss")
 
 
 @answering

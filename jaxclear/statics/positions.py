@@ -16,7 +16,6 @@ from jaxtyping import Array, Float
 
 from jaxclear.components.body import Marker
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.argument_errors import Renamed
 from jaxclear.ground.arguments import check_name
 from jaxclear.ground.datasets import Column, dataset, write_csv
 from jaxclear.ground.pose import quaternion_from_rotation
@@ -76,7 +75,6 @@ class Positions(AbstractShown):
     moving: dict[str, tuple[int, ...]] = eqx.field(static=True)
     other: "Positions | None" = None
     carried: Carried | None = None
-    found = Renamed("is_solved")
 
     def __getitem__(self, index: int) -> "Positions":
         """One of a batch that `jax.vmap` has made of `PositionProblem.positions`.

@@ -18,7 +18,7 @@ from tqdm import tqdm
 
 from jaxclear.errors.accuracy import ratio_to_allowed
 from jaxclear.errors.choice import Question, Rung, Search, Tried, budget_of, others_of, rungs_of
-from jaxclear.ground.argument_errors import Renamed, answering
+from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_flags, check_number, expect
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.printing import as_typed
@@ -197,8 +197,6 @@ class Advice(AbstractAnswer):
     trials: tuple[Trial, ...]
     chosen: Trial
     cost: float
-    asked = Renamed("original_problem")
-    met = Renamed("is_accurate")
 
     @property
     def original_problem(self) -> Problem:

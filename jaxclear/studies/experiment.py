@@ -16,7 +16,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxclear.ground.argument_errors import Renamed
 from jaxclear.ground.quantity import AbstractQuantified
 from jaxclear.integrators import Outcome
 from jaxclear.integrators.checks import Check, Checks
@@ -55,7 +54,6 @@ class AbstractVariable(AbstractQuantified):
     is a number of is the `subject` of an experiment: a mechanism, or a dictionary of numbers."""
 
     distribution: eqx.AbstractVar[AbstractDistribution | AbstractJointDistribution]
-    told = Renamed("identity")
 
     @property
     def parts(self) -> tuple[str, ...]:
@@ -187,10 +185,6 @@ class ResponseInfo(NamedTuple):
     remedy: str = "refine its steps"
     infinite: str = ""
     horizon: float = float("inf")
-
-    @property
-    def promised(self) -> Any:
-        return Renamed("tolerance", "promised").__get__(self, type(self))
 
     def tolerance(self, size: float) -> float | None:
         """The largest error of its mean with which a response of this `size` (root mean square)

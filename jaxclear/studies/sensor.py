@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxclear.components.body import Marker
-from jaxclear.ground.argument_errors import Renamed, nothing_else
+from jaxclear.ground.argument_errors import nothing_else
 from jaxclear.ground.arguments import check_name, expect
 from jaxclear.ground.quantity import Scalar, count, quantity
 from jaxclear.multibody.topology import coordinate_units
@@ -319,7 +319,6 @@ class Series(AbstractSensor):
 
     name: str = eqx.field(static=True)
     is_input: bool = eqx.field(static=True, default=False)
-    given = Renamed("is_input")
 
     def unit_in(self, mechanism):
         return "1"

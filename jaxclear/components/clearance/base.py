@@ -28,7 +28,6 @@ from jaxclear.components.joint.base import AbstractLikeIdeal, AbstractRubbingJoi
 from jaxclear.components.load_base import AbstractJointLoad
 from jaxclear.components.wear_map import AbstractWearMap, Wearing
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.argument_errors import Renamed
 from jaxclear.ground.numerics import safe_divide
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, concrete
 from jaxclear.laws.contact.base import indentation_under
@@ -106,7 +105,6 @@ class AbstractClearance(AbstractQuantified):
 
     ideal_rows: eqx.AbstractClassVar[tuple[str, ...]]
     surfaces: ClassVar[tuple[str, ...]] = ()
-    left = Renamed("overhang")
 
     @property
     @abstractmethod

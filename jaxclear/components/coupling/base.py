@@ -22,7 +22,6 @@ import jax
 
 from jaxclear.components.clearance.backlash import Backlash
 from jaxclear.components.coupling.losses import Efficiency, Thread
-from jaxclear.ground.argument_errors import Renamed
 from jaxclear.ground.pose import Pose
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, as_number, quantity
 
@@ -220,10 +219,6 @@ class AbstractBodyCoupling(AbstractCoupling):
     A joint, by its name, stands for what it carries: its child at the child's marker, or its parent
     at the parent's where the child is the ground. Where all joints are at home the parts mesh.
     """
-
-    seen_radius = Renamed("play_radius")
-    seen_at = Renamed("play_joint")
-    seen_as_length = Renamed("has_linear_play")
 
     def moves(self) -> tuple[tuple[str, ...], ...]:
         """Units of what each joint must leave free that is not fixed: "rad" a turn, "m" a slide;

@@ -25,7 +25,6 @@ import jax.numpy as jnp
 
 from jaxclear.components.drive import AbstractDrive
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.argument_errors import Renamed
 from jaxclear.ground.numerics import safe_divide, safe_sqrt
 from jaxclear.ground.pose import Pose, Twist
 from jaxclear.ground.quantity import AbstractQuantified
@@ -48,7 +47,6 @@ class AbstractJoint(AbstractQuantified):
     units: eqx.AbstractClassVar[tuple[str, ...]]
     rows: ClassVar[tuple[str, ...] | None] = None
     reversal: eqx.AbstractClassVar[sp.Mat]
-    told = Renamed("start_mask")
 
     @abstractmethod
     def motion(self, q: tuple) -> Pose:
@@ -310,8 +308,6 @@ class CarryingEnd(NamedTuple):
 class AbstractRubbingJoint(AbstractJoint):
     """An ideal joint whose parts touch all the time and rub: one of one coordinate, or a ball
     (`AbstractRubbingBall`), whose friction and sliding velocity have three components."""
-
-    goes_round = Renamed("has_moving_centre")
 
     @property
     def components(self) -> int:

@@ -14,7 +14,7 @@ import numpy as np
 import scipy
 from jaxtyping import Array, Float, Int
 
-from jaxclear.ground.argument_errors import Renamed, nothing_else
+from jaxclear.ground.argument_errors import nothing_else
 from jaxclear.ground.arguments import expect
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, quantity, vector
 
@@ -29,8 +29,6 @@ ROUNDING = 1e-9
 
 class AbstractCost(AbstractQuantified):
     """Cost of a dimension as a function of its tolerance."""
-
-    known = Renamed("tolerance_range")
 
     @abstractmethod
     def __call__(self, tolerance: Scalar) -> Scalar:

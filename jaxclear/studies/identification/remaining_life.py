@@ -13,7 +13,7 @@ import equinox as eqx
 import numpy as np
 import scipy
 
-from jaxclear.ground.argument_errors import Renamed, answering
+from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_number, expect
 from jaxclear.studies.answer import AbstractAnswer, Column, Stated
 from jaxclear.studies.identification.result import Identified
@@ -41,7 +41,6 @@ class RemainingLife(AbstractAnswer):
     rate: np.ndarray
     failure: np.ndarray
     warnings: tuple[str, ...] = eqx.field(static=True, default=())
-    left = Renamed("remaining")
 
     def band(self, what: np.ndarray) -> tuple[float, float, float]:
         """Median and ends of the band of draws (draws,)."""

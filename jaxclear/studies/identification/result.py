@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 import scipy
 
-from jaxclear.ground.argument_errors import Renamed
 from jaxclear.ground.arguments import check_name, check_number
 from jaxclear.studies.answer import DATASET, VARIABLE, AbstractAnswer, Column, Stated
 from jaxclear.studies.distribution import Empirical
@@ -58,10 +57,6 @@ class Unknown(NamedTuple):
     width: float
     verdict: str
     method: str
-
-    @property
-    def told_by(self) -> Any:
-        return Renamed("method", "told_by").__get__(self, type(self))
 
     def sentence(self) -> str:
         """The unknown in words."""

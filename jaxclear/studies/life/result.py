@@ -11,7 +11,6 @@ import jax
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
-from jaxclear.ground.argument_errors import Renamed
 from jaxclear.ground.arguments import check_name, check_number
 from jaxclear.ground.printing import with_text_repr
 from jaxclear.integrators.checks import Checks
@@ -78,7 +77,6 @@ class WearLife(AbstractAnswer):
     simulated: int = eqx.field(static=True)
     rejected: int = eqx.field(static=True)
     by_cells: float | None = eqx.field(static=True, default=None)
-    asked = Renamed("requested_cycles")
 
     @property
     def cycles(self) -> np.ndarray:
