@@ -30,8 +30,8 @@ def recorded(monkeypatch, solver, what, run):
     """(parts of the problem, friction or percussions) of every step of a run."""
     found, iterate = [], solver.iterate
 
-    def recording(self, problem, *start):
-        answer = iterate(self, problem, *start)
+    def recording(self, problem, *start, **options):
+        answer = iterate(self, problem, *start, **options)
         jax.debug.callback(
             lambda *x: found.append(jax.tree.map(np.asarray, x)), what(problem), answer.z
         )
