@@ -81,9 +81,10 @@ class JointInStep(NamedTuple):
 class Search(NamedTuple):
     """What a search starts from: the joints that friction moves, with their numbers among all that
     touch; what the contacts ask (None without); Delassus' matrix by contact rows and sliding
-    components, speeds of the latter at the step's end without friction; by joint and load that
-    rubs the least that friction is taken to move it [1/kg]; the step's length [s]; loads that rub,
-    whose rows are the last; (row, number, spring) of sides of stops that may give way."""
+    components, speeds of the latter at the step's end without friction; by joint the
+    least that friction is taken to move it [1/kg]; the step's length [s]; the least by load that
+    rubs; these loads, whose rows are the last; (row, number, spring) of sides of stops that may
+    give way."""
 
     joints: list[JointInStep]
     numbers: list[int]
@@ -92,6 +93,7 @@ class Search(NamedTuple):
     free: list
     softest: list
     h: Any
+    softest_of_loads: list
     rubs: tuple[RubInStep, ...] = ()
     springs: tuple[tuple[int, int, Spring], ...] = ()
 
@@ -195,7 +197,7 @@ def _loaded(search: Search, reactions: tuple[Reaction, ...]) -> list[Loaded]:
     """The joints that friction moves under these reactions."""
     loaded, place = [], search.first
     # Behind the joints' numbers are those of loads.
-    for joint, number, softest in zip(search.joints, search.numbers, search.softest, strict=False):
+    for joint, number, softest in zip(search.joints, search.numbers, search.softest, strict=True):
         reaction = reactions[number]
         load, force = search.h * carried_load(joint.ends(reaction)), reaction.force
         axes: tuple = ((1,),)
@@ -204,8 +206,7 @@ def _loaded(search: Search, reactions: tuple[Reaction, ...]) -> list[Loaded]:
             axes = across(tuple(safe_divide(x, size) for x in force))
         loaded.append(Loaded(len(joint.moved), joint.share, load, axes, place, softest))
         place += len(joint.moved)
-    of_loads = search.softest[len(search.joints) :]
-    for k, (rub, softest) in enumerate(zip(search.rubs, of_loads, strict=True)):
+    for k, (rub, softest) in enumerate(zip(search.rubs, search.softest_of_loads, strict=True)):
         loaded.append(Loaded(1, 1.0, search.h * rub.bound, ((1,),), place + k, softest))
     return loaded
 
@@ -267,7 +268,7 @@ def _residual(
     most, relative to the largest velocity."""
     largest, k = jnp.max(jnp.abs(problem.free_velocity)), search.first
     moved: list[Any] = []
-    for joint, number, softest in zip(search.joints, search.numbers, search.softest, strict=False):
+    for joint, number, softest in zip(search.joints, search.numbers, search.softest, strict=True):
         ends = zip(joint.ends(old[number]), joint.ends(now[number]), strict=True)
         change = sp.total(sp.norm(sp.minus(b.force, a.force)) for a, b in ends)
         answer = problem.delassus[k][k]
@@ -469,8 +470,8 @@ def _search(
     diagonal = middle.free_motion.diagonal
     # A joint that drives move slides whatever friction does (only rounding, of either sign,
     # answers): there it is full. In a dead centre none moves.
-    moved = [*(joints[k].moved for k in numbers), *((rub.sliding,) for rub in loads.rubs)]
-    softest = [UNMOVED * sp.total([lightness(r.row, diagonal) for r in each]) for each in moved]
-    rubbing = [joints[k] for k in numbers]
-    rest = delassus.matrix(), free, softest, h, loads.rubs, springs_of(contacts)
-    return Search(rubbing, numbers, required, *rest)
+    least = lambda rates: UNMOVED * sp.total([lightness(r.row, diagonal) for r in rates])
+    softest = [least(joints[k].moved) for k in numbers]
+    of_loads = [least((rub.sliding,)) for rub in loads.rubs]
+    rest = delassus.matrix(), free, softest, h, of_loads, loads.rubs, springs_of(contacts)
+    return Search([joints[k] for k in numbers], numbers, required, *rest)

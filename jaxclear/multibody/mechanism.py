@@ -69,7 +69,7 @@ class Parts(Ordered):
             "mechanism.with_body(name, body), mechanism.with_load(name, load), "
             "mechanism.with_coupling(name, coupling) (None takes a load or a coupling out), or "
             "jaxclear.Mechanism(mechanism.bodies, mechanism.connections, mechanism.loads, "
-            "couplings=mechanism.couplings, **mechanism.given | {'start': ...})."
+            "couplings=mechanism.couplings, **mechanism.start_arguments | {'start': ...})."
         )
 
     __setitem__ = __delitem__ = __ior__ = _refuse_change
