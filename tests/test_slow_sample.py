@@ -19,6 +19,7 @@ def test_the_sample_has_one_case_of_each_slow_function(request):
     cases = [
         *(Case(f"a.py::one[{i}]", pytest.mark.slow) for i in range(5)),
         *(Case(f"a.py::two[{i}]", pytest.mark.slow if i else None) for i in range(3)),
+        *(Case(f"a.py::many[{i}]", pytest.mark.slow) for i in range(80)),
         Case("a.py::whole", pytest.mark.slow),
         Case("a.py::quick"),
         Case("a.py::longest", pytest.mark.slow(sample=False)),
