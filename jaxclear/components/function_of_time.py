@@ -295,6 +295,16 @@ class TimeTable(AbstractFunctionOfTime):
         return index, time - self.times[index]
 
 
+def knots_of(table: TimeTable, start: Any, most: int) -> Any:
+    """The first times [s] at which pieces of a table begin, at most so many; where it is repeated
+    those of its turn at `start` [s], and further ones."""
+    if table.beyond != "repeated":
+        return table.times[:most]
+    first, period = table.times[0], table.times[-1] - table.times[0]
+    turns = jnp.floor((start - first) / period) + np.arange(-(-most // len(table.times)))
+    return jnp.ravel(table.times + period * turns[:, None])[:most]
+
+
 def _align_with_columns(steps: np.ndarray, values: Any) -> Any:
     """Numbers of the pieces beside those of the columns."""
     return jnp.asarray(steps).reshape(-1, *[1] * (values.ndim - 1))
