@@ -51,6 +51,18 @@ class AbstractFunctionOfTime(AbstractQuantified):
         """
         return None
 
+    def knots(self, start: Scalar, most: int) -> Any:
+        """Times at which one piece of it ends and the next begins; none unless overridden.
+
+        Args:
+            start: time from which they count where the pieces come again and again [s].
+            most: largest number of them.
+
+        Returns:
+            the first of them [s], an array.
+        """
+        return jnp.zeros(0)
+
     def check_motion(self) -> None:
         """Raises `ValueError` with a sentence where it is no position of a drive because its speed
         jumps; nothing is refused unless overridden."""
@@ -247,6 +259,13 @@ class TimeTable(AbstractFunctionOfTime):
 
         return self.factor * (area(time) - area(0.0))
 
+    def knots(self, start, most):
+        if self.beyond != "repeated":
+            return self.times[:most]
+        first, period = self.times[0], self.times[-1] - self.times[0]
+        turns = jnp.floor((start - first) / period) + np.arange(-(-most // len(self.times)))
+        return jnp.ravel(self.times + period * turns[:, None])[:most]
+
     def check_motion(self):
         if self.interpolation == "linear":
             raise ValueError(
@@ -293,16 +312,6 @@ class TimeTable(AbstractFunctionOfTime):
             further = jnp.minimum(index + (1 << power), last)
             index = jnp.where(self.times[further] <= time, further, index)
         return index, time - self.times[index]
-
-
-def knots_of(table: TimeTable, start: Any, most: int) -> Any:
-    """The first times [s] at which pieces of a table begin, at most so many; where it is repeated
-    those of its turn at `start` [s], and further ones."""
-    if table.beyond != "repeated":
-        return table.times[:most]
-    first, period = table.times[0], table.times[-1] - table.times[0]
-    turns = jnp.floor((start - first) / period) + np.arange(-(-most // len(table.times)))
-    return jnp.ravel(table.times + period * turns[:, None])[:most]
 
 
 def _align_with_columns(steps: np.ndarray, values: Any) -> Any:

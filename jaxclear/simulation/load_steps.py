@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxclear.components.drive import AbstractDrive
-from jaxclear.components.function_of_time import AbstractFunctionOfTime, TimeTable, knots_of
+from jaxclear.components.function_of_time import AbstractFunctionOfTime
 from jaxclear.components.joint.base import drive_of
 from jaxclear.components.load_base import acts_on_coordinates
 from jaxclear.ground import sparse as sp
@@ -317,8 +317,9 @@ def _with_traced_breaks(
     """As `_with_breaks`, of numbers that a program traces; steps end at the times of tables too."""
     if not isinstance(integrator, Adaptive) or not functions:
         return integrator
-    tables = jax.tree.leaves(functions, is_leaf=lambda each: isinstance(each, TimeTable))
-    every = [knots_of(x, times[0], MOST_BREAKS) for x in tables if isinstance(x, TimeTable)]
+    parts = jax.tree.leaves(functions, is_leaf=lambda x: isinstance(x, AbstractFunctionOfTime))
+    pieced = [x for x in parts if isinstance(x, AbstractFunctionOfTime)]
+    every = [function.knots(times[0], MOST_BREAKS) for function in pieced]
     looks = jnp.linspace(times[0], times[-1], TRACED + 1)
     for rates, _ in (jax.vmap(functools.partial(_at, f))(looks) for f in functions.values()):
         every += [_times_of_change(rate, looks) for rate in rates]
