@@ -244,7 +244,7 @@ def test_a_design_of_runs_in_doubt_is_not_said_to_hold(problem, tmp_path):
         "store": tmp_path / "kept",
     }
     found = jc.design(problem, **asked)
-    assert np.all(found.excess <= found.allowed_excess) and not found.rounds[-1].check.failed
+    assert np.all(found.excess <= found.allowed_excess) and not found.round.check.failed
     assert not found.holds and "All limits hold" not in found.sentence()
     assert 'It is not known to hold, by runs in doubt. "slider": ' in found.sentence()
     assert f"Of all runs: {found.warnings[0]}" in found.sentence()
