@@ -451,8 +451,8 @@ def wear_of_both_parts(model: Model, states: Array, ended: Worn) -> Figures:
             share = worn[surface] / sum(worn.values())
             figure = alike * (1.0 - (scar / elastic) ** 2) * (1.0 - jnp.cbrt(share))
             shares[joint, surface] = jnp.where(jnp.sum(volumes) > 0, figure, 0.0)
-    places = [shares.get((slot.bearing, slot.surface), 0.0) for slot in model.layout.wear]
-    return {Check.BOTH_WORN: sp.stack(places)}
+    slots = model.layout.wear
+    return {Check.BOTH_WORN: sp.stack([shares.get((s.bearing, s.surface), 0.0) for s in slots])}
 
 
 def path_between_saves(model: Model, states: Array) -> Figures:
@@ -471,8 +471,8 @@ def path_between_saves(model: Model, states: Array) -> Figures:
         paths = jax.vmap(jax.vmap(maps[joint][surface][0].path))(places)
         paths = jnp.where(volumes > 0, jnp.broadcast_to(paths, volumes.shape), 0.0)
         means[joint, surface] = safe_divide(jnp.sum(volumes * paths), jnp.sum(volumes))
-    places = [means[slot.bearing, slot.surface] for slot in model.layout.wear]
-    return {Check.WEAR_AT_SAVES: jnp.stack(places)}
+    slots = model.layout.wear
+    return {Check.WEAR_AT_SAVES: jnp.stack([means[s.bearing, s.surface] for s in slots])}
 
 
 def narrowness(

@@ -87,7 +87,7 @@ def side_by_side(jobs: Sequence[tuple[float, Merged]]) -> tuple[Losses, dict[tup
     most = max(int(count.max()) for count in counts.values())
     least = LEAST_LOSSES[0 if has_kernels() else 1]
     size = max(least, 2 ** (most - 1).bit_length())
-    losses: Losses = {}
+    losses: dict[tuple[str, str], Any] = {}
     for surface, count in counts.items():
         features = jobs[0][1][surface][0][1].shape[1]
         volumes = np.zeros((len(jobs), size, count.shape[1]))
