@@ -239,7 +239,7 @@ class RigidContact(AbstractFormulation):
         after += [x + change for x, change in zip(entries[len(after) :], passive, strict=True)]
         flat = [part for row in impact.by_contact for part in row]
         flat += [h * x for x in (*rubbed.friction, *rubbed.loads)]
-        residual = jnp.maximum(handed[-1], impact.residual)
+        residual = jnp.maximum(handed[-1], jnp.maximum(impact.residual, end.residual))
         ahead = _with_springs(contacts, delassus, impact, h)
         return sp.stack(after), sp.stack([*ahead, *flat, residual])
 
