@@ -118,7 +118,7 @@ def _of_stiff_couplings(trajectory: Trajectory) -> str:
     step = float(later[0] - history.time[0]) / steps
     if not step * omega > EXPLICIT:
         return ""
-    coupling = trajectory.mechanism.couplings[name]
+    coupling: Any = trajectory.mechanism.couplings[name]
     unit = "N/m" if moves_along(trajectory.mechanism, coupling) else "N m/rad"
     return (
         f'Coupling "{name}" has a stiffness of {float(coupling.stiffness):.3g} {unit}, with which '

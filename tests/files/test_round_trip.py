@@ -52,7 +52,6 @@ ARCHARD_WEAR = {
     "kind": "Wearing",
     "law": {"kind": "Archard", "wear_coefficient": 1e-4, "hardness": 2e9},
 }
-FILM = {"kind": "JournalFilm", "connection": "crank", "law": {"kind": "Reynolds"}}
 HEATED = {"kind": "Heating", "expansion": {"crank": 1e-5, "rod": 2e-5}}
 # By class and argument.
 OF_CLASSES = {
@@ -60,7 +59,6 @@ OF_CLASSES = {
     "Slideway": {"wear": ARCHARD_WEAR},
     "BallJoint": {"wear": ARCHARD_WEAR},
     "KelvinVoigt": {"stiffness": "number"},
-    "MobileJournal": {"film": FILM | {"radius": 0.5, "clearance": 0.01, "length": 1.5}},
     "Belt": {"play": None},
     "Cam": {"profile": ONE_TURN},
     "Gear": {"transmission_error": ONE_TURN},
