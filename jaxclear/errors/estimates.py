@@ -119,7 +119,10 @@ class Verified(AbstractVerification):
         error = f"{worst.share:.2g} {WORDS[worst.part]} (tolerance {worst.tolerance:g})"
         cells = "; " if self.coarser is None or worst.part != "losses" else "; more cells, or "
         name = f"{worst.name[0].upper()}{worst.name[1:]}"
-        return f"{name}: error about {error}{more}{cells}{self.remedy}."
+        # Of a chaotic path smaller steps give another one, whose error is no less.
+        chaotic = "the path is chaotic, so take means over samples"
+        remedy = self.remedy if self.path is None else chaotic
+        return f"{name}: error about {error}{more}{cells}{remedy}."
 
     def estimate(self, run, response):
         value = response(run)
@@ -170,7 +173,14 @@ class Verified(AbstractVerification):
             table[f"{head} [%]"] = [float(f"{part:.2g}") for part in parts]
         marks = [of(t) for t in self.entries]
         table = table.assign(remark=marks) if any(marks) else table
-        return table, f"Error estimate: {self._how_estimated()}. {self.why}".rstrip()
+        forces = {(t.part, t.place): t.value for t in self.entries}
+        means = [place for part, place in forces if part == "mean_force"]
+        summed = any(forces["mean_force", n] > forces.get(("peak_force", n), np.inf) for n in means)
+        how = f"Error estimate: {self._how_estimated()}. {self.why}".rstrip()
+        several = (
+            "\nMean contact forces are sums over the contacts of a joint, peaks are of one contact."
+        )
+        return table, f"{how}{several if summed else ''}"
 
 
 class Failed(AbstractVerification):
