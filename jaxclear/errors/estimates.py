@@ -173,14 +173,12 @@ class Verified(AbstractVerification):
             table[f"{head} [%]"] = [float(f"{part:.2g}") for part in parts]
         marks = [of(t) for t in self.entries]
         table = table.assign(remark=marks) if any(marks) else table
-        forces = {(t.part, t.place): t.value for t in self.entries}
-        means = [place for part, place in forces if part == "mean_force"]
-        summed = any(forces["mean_force", n] > forces.get(("peak_force", n), np.inf) for n in means)
         how = f"Error estimate: {self._how_estimated()}. {self.why}".rstrip()
-        several = (
-            "\nMean contact forces are sums over the contacts of a joint, peaks are of one contact."
-        )
-        return table, f"{how}{several if summed else ''}"
+        peaks = {t.place: t.value for t in self.entries if t.part == "peak_force"}
+        means = [t for t in self.entries if t.part == "mean_force"]
+        if any(t.value > peaks.get(t.place, np.inf) for t in means):
+            how += "\nMean contact forces are sums over a joint's contacts, peaks are of one."
+        return table, how
 
 
 class Failed(AbstractVerification):

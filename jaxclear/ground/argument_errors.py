@@ -9,7 +9,7 @@ import functools
 import importlib.util
 import inspect
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
@@ -72,26 +72,17 @@ class AnsweringMeta(PublicMeta):
 
 
 def _describe_incomplete(cls: Any) -> str:
-    """What a class of a user leaves undefined of the family that it derives from, and which bases
-    of that family define it; "" where nothing is."""
+    """What a class of a user leaves undefined of the family that it derives from; "" where nothing
+    is."""
     kinds = ("__abstractmethods__", "__abstractvars__", "__abstractclassvars__")
     missing = {name for kind in kinds for name in getattr(cls, kind, ())}
     if not missing:
         return ""
     base = next(kind for kind in cls.__mro__[1:] if kind.__name__.startswith("Abstract"))
-    lacks = f"{cls.__name__} leaves {listed(sorted(missing))} of {public_name(base)} undefined"
-    narrower = [public_name(kind) for kind in _abstract_members(base)]
-    offered = [name for name in narrower if "." in name]
-    hint = f"derive it from {' or '.join(offered)}, or define them" if offered else "define them"
-    return f"{lacks}; {hint}. help() of the base says what each is."
-
-
-def _abstract_members(family: type) -> Iterator[type]:
-    """Abstract classes of a family that derive from it, in their order."""
-    for kind in family.__subclasses__():
-        if kind.__name__.startswith("Abstract"):
-            yield kind
-            yield from _abstract_members(kind)
+    return (
+        f"{cls.__name__} leaves {listed(sorted(missing))} of {public_name(base)} undefined: define "
+        f"them, or derive it from a base that does (help({public_name(base)}))."
+    )
 
 
 def _describe_fields(kind: Any) -> None:

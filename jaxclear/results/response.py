@@ -28,7 +28,7 @@ from jaxclear.ground.quantity import (
     lenient_converter,
     with_fields,
 )
-from jaxclear.ground.wording import described, listed
+from jaxclear.ground.wording import described
 from jaxclear.multibody.system import films_in, wearing_in
 from jaxclear.multibody.topology import all_planar, coordinate_units, turns
 from jaxclear.results import histories
@@ -337,19 +337,14 @@ def _check_boresight(mechanism: Any, tip: Marker, loose: list[str]) -> None:
     boresight: the angle would be 0 whatever their clearances."""
     if not loose or not all_planar(mechanism.bodies):
         return
-    turning = [name for name in loose if coordinate_unit(mechanism, name, 0) == "m"]
-    if turning and tip.named_axis not in ("z", "-z"):
-        return
-    why = (
-        "the z axis of the tip, its boresight, is normal to the plane"
-        if turning
-        else f"clearance in {listed(loose)} moves the tip and does not turn it"
-    )
-    raise ValueError(
-        f'response.PointingAngle of "{tip.body}" is 0 whatever the clearances: the mechanism is '
-        f"planar, and {why}. Read the tip's place by response.PositionError, an angle by "
-        "response.LargestError or response.FromFunction, or describe the mechanism in space."
-    )
+    turning = any(coordinate_unit(mechanism, name, 0) == "m" for name in loose)
+    if not turning or tip.named_axis in ("z", "-z"):
+        raise ValueError(
+            f'response.PointingAngle of "{tip.body}" is 0 whatever the clearances: the mechanism '
+            "is planar, where only a guide turns a boresight, and one in the plane. Read the tip's "
+            "place by response.PositionError, an angle by response.LargestError or "
+            "response.FromFunction, or describe the mechanism in space."
+        )
 
 
 class LargestDeflection(AbstractResponse):

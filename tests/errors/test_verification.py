@@ -294,7 +294,7 @@ def test_a_mean_above_its_peak_is_explained():
         shown = str(
             Verified((), numbers, lost, None, np.zeros(()), REFERENCE, names, "take shorter")
         )
-        assert ("sums over the contacts of a joint" in shown) is says
+        assert ("sums over a joint's contacts" in shown) is says
 
 
 def odd():

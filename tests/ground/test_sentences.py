@@ -148,9 +148,9 @@ def test_a_class_that_lacks_parts_of_its_family_says_which():
         pass
 
     with pytest.raises(
-        TypeError, match='^Empty leaves "press" of .*AbstractStamp undefined; define'
+        TypeError, match='^Empty leaves "press" of .*AbstractStamp undefined: define'
     ):
         Empty()
-    # A base of the family that asks for less is named.
+    # Of a family of the package, with the attributes that it asks for.
     sentence = _describe_incomplete(jc.friction.AbstractSlipFriction)
-    assert "derive it from friction.AbstractSlipFriction or " in sentence
+    assert '"coefficient" of friction.AbstractForceFriction undefined' in sentence
