@@ -70,7 +70,8 @@ class Verified(AbstractVerification):
     tenth digit of the start, and `path`: from when on [s], and within which time errors grow e-fold
     [s] (None: its path is an answer); `since` [s]: where the run began, from where on errors count;
     `remedy`: what makes them smaller; `why`: what the integrator was chosen for ("": it was
-    given); `coarser`: the run on worn surfaces with cells twice as wide."""
+    given); `coarser`: the run on worn surfaces with cells twice as wide; `step_ratios`: steps of
+    the replicas over the run's."""
 
     replicas: tuple[Trajectory, ...]
     numbers: Float[np.ndarray, "answers 4"]
@@ -82,6 +83,7 @@ class Verified(AbstractVerification):
     remedy: str = eqx.field(static=True)
     why: str = eqx.field(static=True, default="")
     coarser: Trajectory | None = None
+    step_ratios: tuple[float, ...] = eqx.field(static=True, default=(HALF, QUARTER))
 
     @property
     def entries(self) -> tuple[StandardAnswer, ...]:
@@ -134,7 +136,7 @@ class Verified(AbstractVerification):
             return Estimate(value, math.nan, f"in finer steps the same fails: {failure}")
         try:
             share = max(factors_of_cells(run).values(), default=1.0)
-            estimate = lambda *each: _estimate_error(*each, share)
+            estimate = lambda *each: _estimate_error(*each, self.step_ratios, share)
             error = jax.tree.map(estimate, value, coarse, *values)
         except (TypeError, ValueError):
             return Estimate(value, math.nan, "the answer is no number, or of another form there")
@@ -145,7 +147,8 @@ class Verified(AbstractVerification):
         return Estimate(value, error, self._how_estimated())
 
     def _how_estimated(self) -> str:
-        steps = "half the step" if len(self.replicas) == 1 else "half and a quarter of the step"
+        more = {QUARTER: "half and a quarter of the step", HALF: "half the step, from two starts"}
+        steps = "half the step" if len(self.replicas) == 1 else more[self.step_ratios[-1]]
         began = not is_traced(self.since) and self.since != 0
         since = f", since {float(self.since):.6g} s" if began else ""
         if self.coarser is not None:
@@ -274,16 +277,16 @@ def factor_of_cells(surface: AbstractSurface, features: Any, depth: Any, narrow:
 
 
 def _estimate_error(value: Any, coarse: Any, *rest: Any) -> Any:
-    """Of a number, or an array of them, from one on `coarse` cells, others in finer steps and the
-    share of what cells change. Raises `TypeError` or `ValueError` for what is none, and
-    for arrays of another shape."""
-    *values, share = rest
+    """Of a number, or an array of them, from one on `coarse` cells, others in finer steps, the
+    ratios of these steps and the share of what cells change. Raises `TypeError` or `ValueError`
+    for what is none, and for arrays of another shape."""
+    *values, ratios, share = rest
     number, coarse, *others = (
         each if is_traced(each) else np.asarray(each, float) for each in (value, coarse, *values)
     )
     if any(other.shape != number.shape for other in (coarse, *others)):
         raise ValueError("arrays of another shape")
     with np.errstate(invalid="ignore"):
-        by_steps = richardson([abs(number - other) for other in others])
+        by_steps = richardson([abs(number - other) for other in others], ratios)
         error = by_steps + share * abs(number - coarse)
     return error if is_traced(error) else np.asarray(error)[()]

@@ -33,7 +33,8 @@ from jaxclear.multibody.system import films_in, wearing_in
 from jaxclear.multibody.topology import all_planar, coordinate_units, turns
 from jaxclear.results import histories
 from jaxclear.results.pointing_error import checked_through, checked_tip, tip_errors
-from jaxclear.results.trajectory import Trajectory
+from jaxclear.results.state_history import StateHistory
+from jaxclear.results.trajectory import Extremes, Trajectory
 
 __all__ = [
     "AbstractResponse",
@@ -618,7 +619,14 @@ def _peak_over_steps(run: Trajectory, joint: str) -> Scalar:
     extremes = run.extremes
     if extremes is None or joint not in extremes.contacts or run.formulation.forces_are_means:
         return jnp.zeros(())
-    system = run.history.model().system
+    return _largest_force(run.history, extremes, joint)
+
+
+@eqx.filter_jit
+def _largest_force(history: StateHistory, extremes: Extremes, joint: str) -> Scalar:
+    """That of the steps' ends and of the deepest indentations. Compiled: outside of a study the
+    preparation of the mechanism would cost more than the run."""
+    system = history.model().system
     depths, *forces = (
         [each[k] for k, place in enumerate(extremes.contacts) if place == joint]
         for each in (extremes.indentation, extremes.force)

@@ -19,9 +19,8 @@ from jaxclear.studies.answer import AbstractAnswer, Column, Stated
 from jaxclear.studies.design.limit import AbstractLimit
 from jaxclear.studies.design.population import GROUPS, in_groups
 from jaxclear.studies.design.question import Question, checked_limits, freedom_of
-from jaxclear.studies.design.result import FEW_FAILED
 from jaxclear.studies.design.runs import BATCH, Runs
-from jaxclear.studies.design.verification import INSTEAD
+from jaxclear.studies.design.verification import FEW_FAILED, INSTEAD
 from jaxclear.studies.infinite_responses import refuse_infinite
 from jaxclear.studies.problem import Problem
 from jaxclear.studies.run_warnings import sentences
