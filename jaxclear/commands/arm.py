@@ -45,8 +45,7 @@ STANDARD, REDUCED = 3 * ARCMIN, 1 * ARCMIN
 # So far a play scatters about what it should be, as a share of it; assumed.
 SCATTER = 0.1
 BOUGHT = 3
-# All studies of the tip run chunks of as many samples, so that one program serves them; the steps'
-# error is that of the single runs.
+# Runs of the slopes, the choices and the sample come in as many, so that one program serves them.
 CHUNK = 64
 # Steps that resolve the last link on its flank; saving times are those of the way.
 STEP = 1e-4
@@ -201,7 +200,6 @@ def designed(problem: jc.Problem, at_most: float, **options: Any) -> Any:
         price,
         jc.limit.MeanAndDeviation("tip error", at_most=at_most, deviations=0),
         nominal=dict.fromkeys(JOINTS, jc.catalogue.Sizes((REDUCED, STANDARD))),
-        settings=jc.DesignSettings(check=CHUNK, runs=CHUNK),
         **options,
     )
 
@@ -305,7 +303,7 @@ def study(folder: Path, samples: int = CHUNK, show: bool = True) -> None:
         "slopes": slopes(problem),
         "choices": every_choice(problem),
     }
-    sample = jc.monte_carlo(problem, samples, verify=False, progress_bar=show)
+    sample = jc.monte_carlo(problem, samples, progress_bar=show)
     three = tables["choices"].query(f"bought == {BOUGHT}").iloc[0]
     # Half of what lies between the best three and the best two.
     two = tables["choices"].query(f"bought == {BOUGHT - 1}").iloc[0]
