@@ -96,8 +96,8 @@ class Adaptive(AbstractIntegrator):
     and releases, and know how these move (`saltation`). They are nan where impacts have made them
     grow so much that the tolerance no longer determines them. All are those at a sixteenth of the
     tolerance, and nan where those at the tolerance itself differ by more than a hundredth. With a
-    tighter `rtol` they go further. Through contacts not with implicit solvers and `MuntheKaas` (it keeps
-    rotations on their group), where `jaxclear.sensitivity` is the way.
+    tighter `rtol` they go further. Through contacts not with implicit solvers and `MuntheKaas` (it
+    keeps rotations on their group), where `jaxclear.sensitivity` is the way.
 
     Stiff scenes (large friction over tiny transition speeds) may prefer
     diffrax.Kvaerno5(root_finder=optimistix.Newton(rtol=1e-6, atol=1e-8)); of stiff couplings beside
