@@ -139,7 +139,7 @@ def scipy_programs(question: rig.Question) -> list[rig.Program]:
 
 
 @cache
-def _exudyn():
+def load_exudyn():
     """The module without range checks, imported quietly."""
     sys.exudynFast = True
     import exudyn
@@ -186,7 +186,7 @@ def _exudyn_trees(exu, items, mbs, p):
 @cache
 def _exudyn_system(clearance: float):
     """(container, system, sensor of the slider's place, sensor of the contact force)."""
-    exu, p = _exudyn(), rig.LAWS["captured, friction from 0"]
+    exu, p = load_exudyn(), rig.LAWS["captured, friction from 0"]
     import exudyn.itemInterface as items
 
     container = exu.SystemContainer()
@@ -230,7 +230,7 @@ def _exudyn_system(clearance: float):
 def exudyn_run(question: rig.Question, clearance: float, setting: float, solver: str) -> Answer:
     """One run. Adaptive solvers: `setting` is the tolerance; the others: steps per saving
     interval."""
-    exu = _exudyn()
+    exu = load_exudyn()
     _, mbs, place, force = _exudyn_system(clearance)
     settings = exu.SimulationSettings()
     stepping, adaptive = settings.timeIntegration, solver == "DOPRI5"

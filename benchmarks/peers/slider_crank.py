@@ -256,30 +256,31 @@ def reference_rows(question: rig.Question) -> list[dict]:
 
 
 def short_rows(question: rig.Question) -> list[dict[str, Any]]:
-    """jaxclear's steps under error control beside the loop by hand, at one loose tolerance."""
+    """jaxclear's steps under error control beside the loop by hand, at one loose tolerance: a run
+    by each call of a user's, and a batch."""
     ours = next(p for p in with_jaxclear.programs(question) if p.name == "jaxclear Adaptive")
     hand = next(p for p in by_hand(question) if p.name == "numba, adaptive by hand")
     clearances = np.random.default_rng(0).uniform(0.4e-3, 0.6e-3, SHORT_BATCH)
-    rows = []
-    for samples in (1, SHORT_BATCH):
-        cases = {
-            name: functools.partial(own.run, SHORT)
-            if samples == 1
-            else functools.partial(own.batch.go, SHORT, clearances)
-            for name, own in (("ours", ours), ("hand", hand))
+    alone = functools.partial(hand.run, SHORT)
+    batch = functools.partial(hand.batch.go, SHORT, clearances)
+    calls = {
+        **{name: (1, call, alone) for name, call in with_jaxclear.calls(question, SHORT).items()},
+        "evaluate_all": (SHORT_BATCH, functools.partial(ours.batch.go, SHORT, clearances), batch),
+    }
+    cases = {(name, i): pair[i] for name, (_, *pair) in calls.items() for i in (0, 1)}
+    spent = side_by_side(cases, SHORT_REPEATS)
+    return [
+        {
+            "call": name,
+            "samples": samples,
+            "jaxclear Adaptive [ms]": 1e3 * spent[name, 0][1],
+            "by hand [ms]": 1e3 * spent[name, 1][1],
+            "ratio of CPU time": spent[name, 0][1] / spent[name, 1][1],
+            "ratio of wall time": spent[name, 0][0] / spent[name, 1][0],
+            "ratio of steps": ours.run(SHORT).steps / hand.run(SHORT).steps,
         }
-        spent = side_by_side(cases, SHORT_REPEATS)
-        rows.append(
-            {
-                "samples": samples,
-                "jaxclear Adaptive [ms]": 1e3 * spent["ours"][1],
-                "by hand [ms]": 1e3 * spent["hand"][1],
-                "ratio of CPU time": spent["ours"][1] / spent["hand"][1],
-                "ratio of wall time": spent["ours"][0] / spent["hand"][0],
-                "ratio of steps": ours.run(SHORT).steps / hand.run(SHORT).steps,
-            }
-        )
-    return rows
+        for name, (samples, *_) in calls.items()
+    ]
 
 
 def main() -> None:

@@ -2,12 +2,11 @@
 a line more in `JAXCLEAR`.
 """
 
+import functools
 from collections.abc import Callable
 from functools import cache
 from typing import Any, NamedTuple
 
-import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -15,7 +14,6 @@ import jaxclear as jc
 from benchmarks.peers import rig
 from benchmarks.peers.rig import Answer, Batch, Program
 from jaxclear.integrators import Outcome
-from jaxclear.simulation.simulate import run
 from jaxclear.studies.store.batch import evaluate_all
 
 # Samples a chunk of adaptive runs, which wait for the slowest of their chunk.
@@ -56,38 +54,52 @@ JAXCLEAR = {
 PEAK = jc.response.PeakContactForce("B")
 
 
-@eqx.filter_jit
-def _run(mechanism, coordinates, speeds, times, integrator):
-    found = run(mechanism, coordinates, speeds, times, integrator)
-    places = found.coordinate("G")[1:]
-    return places, PEAK(found), found.accepted_steps + found.rejected_steps
+def _simulate(mechanism: jc.Mechanism, question: rig.Question, integrator: Any) -> jc.Trajectory:
+    saves = question.saves + 1
+    return jc.simulate(
+        mechanism, question.duration, integrator=integrator, save=saves, verify=False
+    )
+
+
+def _problem(question: rig.Question, integrator: Any) -> jc.Problem:
+    clearance = lambda m: m.connections["B"].joint.clearance
+    return jc.Problem(
+        rig.mechanism(),
+        {"peak": PEAK, "place": jc.response.FinalCoordinate("G", unit="m")},
+        {"clearance": jc.Variable(clearance, tolerance=0.1e-3)},
+        duration=question.duration,
+        integrator=integrator,
+        save=question.saves + 1,
+    )
+
+
+def calls(question: rig.Question, rtol: float) -> dict[str, Callable[[], Any]]:
+    """What a user calls for one run under error control, by its name."""
+    mechanism, integrator = rig.mechanism(), _adaptive(rtol)
+    problem = _problem(question, integrator)
+    nominal = problem.nominal()
+    run = functools.partial(_simulate, mechanism, question, integrator)
+
+    def read():
+        found = run()
+        return np.asarray(found.coordinate("G")), float(PEAK(found))
+
+    return {
+        "simulate(verify=False)": run,
+        "simulate(verify=False), places and peak read": read,
+        "Problem.evaluate": lambda: problem.evaluate(nominal),
+    }
 
 
 def program(name: str, entry: Entry, question: rig.Question) -> Program:
     """jaxclear as a program among others."""
     mechanism = rig.mechanism()
-    start = jc.assemble(mechanism)
-    times = jnp.linspace(0.0, question.duration, question.saves + 1)
+    problem = cache(lambda setting: _problem(question, entry.integrator(setting)))
 
     def alone(setting):
-        found = _run(mechanism, start.coordinates, start.speeds, times, entry.integrator(setting))
-        places, peak, steps = jax.block_until_ready(found)
-        return Answer(np.asarray(places), float(peak), int(steps))
-
-    @cache
-    def problem(setting):
-        return jc.Problem(
-            mechanism,
-            {"peak": PEAK, "place": jc.response.FinalCoordinate("G", unit="m")},
-            {
-                "clearance": jc.Variable(
-                    lambda m: m.connections["B"].joint.clearance, tolerance=0.1e-3
-                )
-            },
-            duration=question.duration,
-            integrator=entry.integrator(setting),
-            save=question.saves + 1,
-        )
+        run = _simulate(mechanism, question, entry.integrator(setting))
+        places, peak = np.asarray(run.coordinate("G"))[1:], float(PEAK(run))
+        return Answer(places, peak, int(run.accepted_steps + run.rejected_steps))
 
     def batch(setting, clearances):
         found = evaluate_all(problem(setting), jnp.asarray(clearances)[:, None], chunk=entry.chunk)

@@ -134,9 +134,9 @@ def _model(step: float):
 
 
 @cache
-def _install() -> bool:
-    """Set the contact as a compiled callback; False without a compiler: the mechanism then moves
-    without contact.
+def install(source: str) -> bool:
+    """Set a contact (`passive` of a source in C) as a compiled callback; False without a compiler:
+    the mechanism then moves without contact.
     """
     import mujoco
 
@@ -144,7 +144,7 @@ def _install() -> bool:
     if compiler is None:
         return False
     folder = Path(tempfile.mkdtemp(prefix="jaxclear_peers_"))
-    (folder / "peers.c").write_text(CALLBACK)
+    (folder / "peers.c").write_text(source)
     flags = ["-O3", "-march=native", "-fno-math-errno", "-shared", "-fPIC", f"-DCENTRE={CENTRE}"]
     headers = f"-I{Path(mujoco.__file__).parent / 'include'}"
     names = [str(folder / "peers.c"), "-o", str(folder / "peers.so"), "-lm"]
@@ -192,7 +192,11 @@ def mujoco_batch(question: rig.Question, per_save: float, clearances: np.ndarray
 
 def mujoco_programs(question: rig.Question) -> list[rig.Program]:
     """MuJoCo in C."""
-    name = "MuJoCo C, RK4" if _install() else "MuJoCo C, RK4, WITHOUT the contact: a lower bound"
+    name = (
+        "MuJoCo C, RK4"
+        if install(CALLBACK)
+        else "MuJoCo C, RK4, WITHOUT the contact: a lower bound"
+    )
     batch = None
     if _has_batch():
         batch = rig.Batch(

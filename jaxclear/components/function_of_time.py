@@ -51,6 +51,18 @@ class AbstractFunctionOfTime(AbstractQuantified):
         """
         return None
 
+    def knots(self, start: Scalar, most: int) -> Any:
+        """Times at which one piece of it ends and the next begins; none unless overridden.
+
+        Args:
+            start: time from which they count where the pieces come again and again [s].
+            most: largest number of them.
+
+        Returns:
+            the first of them [s], an array.
+        """
+        return jnp.zeros(0)
+
     def check_motion(self) -> None:
         """Raises `ValueError` with a sentence where it is no position of a drive because its speed
         jumps; nothing is refused unless overridden."""
@@ -246,6 +258,13 @@ class TimeTable(AbstractFunctionOfTime):
             return area + 0.5 * past * past * (b + s * (2 * c + 3 * s * d))
 
         return self.factor * (area(time) - area(0.0))
+
+    def knots(self, start, most):
+        if self.beyond != "repeated":
+            return self.times[:most]
+        first, period = self.times[0], self.times[-1] - self.times[0]
+        turns = jnp.floor((start - first) / period) + np.arange(-(-most // len(self.times)))
+        return jnp.ravel(self.times + period * turns[:, None])[:most]
 
     def check_motion(self):
         if self.interpolation == "linear":

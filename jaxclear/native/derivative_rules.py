@@ -275,7 +275,9 @@ def _columns_of_program(*values: Any, program: ClosedJaxpr, moving: tuple, maps:
         if portions == 1:
             return side_by_side(jnp.asarray(unit_tangents[0]))
         out, columns = jax.lax.map(side_by_side, jnp.asarray(unit_tangents))
-        return [o[0] for o in out], [c.reshape(-1, *c.shape[2:])[:count] for c in columns]
+        rows = portions * together
+        flat = [c.reshape(rows, *c.shape[2:])[:count] for c in columns]
+        return [o[0] for o in out], flat
 
     for batch_map in maps:
         if not the_same(batch_map.values):

@@ -335,6 +335,11 @@ def contact(history: StateHistory, name: str) -> ContactHistory:
 def contact_impulse(history: StateHistory, name: str) -> Float[Array, " time"]:
     """What the normal forces of a joint's contacts have given since the start [N s]."""
     check_contact_joint(history, name)
+    return _impulse_columns(history, name)
+
+
+@eqx.filter_jit
+def _impulse_columns(history, name):
     model = history.model()
     impulses = history.formulation.normal_impulses(model.system, name)
     start = model.layout.impulse_start + model.layout.impulses_of(name).start

@@ -4,7 +4,8 @@ between the instants at which a step looks, and nothing in a run's numbers tells
 So functions of time are looked at alone, before a run: what steps of that length make of their
 impulse, by Simpson's rule over each, beside the impulse as it is. Steps that find their own length
 (`Adaptive`) are to end where a function changes between coarser looks. Loads of the user's own may
-change with the motion too: they are looked at along a run, behind it.
+change with the motion too: they are looked at along a run, behind it. Within a program that traces
+these numbers (`jax.jit` and its like) it is the program that looks, at fewer instants.
 """
 
 import dataclasses
@@ -22,7 +23,7 @@ from jaxclear.components.function_of_time import AbstractFunctionOfTime
 from jaxclear.components.joint.base import drive_of
 from jaxclear.components.load_base import acts_on_coordinates
 from jaxclear.ground import sparse as sp
-from jaxclear.ground.quantity import concrete, is_traced, on_device, on_host
+from jaxclear.ground.quantity import concrete, constant, is_traced, on_device, on_host
 from jaxclear.ground.recent_results import Key
 from jaxclear.integrators.adaptive import Adaptive
 from jaxclear.integrators.base import SLIVER, AbstractIntegrator
@@ -39,6 +40,9 @@ IN_A_STEP, LEAST, MOST = 4, 2**18, 2**23
 # line by this share of its integral, and changes by this share of that: at so many times at most.
 TOGETHER, COARSE = 2**16, 2**13
 RESOLVED, DIFFERENT, MOST_BREAKS = 1e-3, 0.01, 2**10
+# Within a program: instants in a step, steps at once, and instants in a run whose steps find their
+# own length.
+TRACED_IN_A_STEP, TRACED_TOGETHER, TRACED = 32, 2**8, 2**14
 
 
 def functions_of_time(mechanism: Mechanism) -> dict[str, Any]:
@@ -163,10 +167,10 @@ class LoadSteps(NamedTuple):
     shares that its steps pass over (`passed`)."""
 
     integrator: AbstractIntegrator
-    passed: dict[str, float]
+    passed: dict[str, Any]
 
 
-def checked_by(missed: dict[str, float], checks: Checks) -> Checks:
+def checked_by(missed: dict[str, Any], checks: Checks) -> Checks:
     """What is known of a run with what its loads and drives are judged by, where it has any."""
     if not missed:
         return checks
@@ -175,7 +179,7 @@ def checked_by(missed: dict[str, float], checks: Checks) -> Checks:
     return Checks.of(checks.figures | {Check.LOAD_STEP: figure})
 
 
-def judged_by(missed: dict[str, float], run: Trajectory) -> Trajectory:
+def judged_by(missed: dict[str, Any], run: Trajectory) -> Trajectory:
     """The run with it."""
     return (
         dataclasses.replace(run, invariants=checked_by(missed, run.invariants)) if missed else run
@@ -184,8 +188,6 @@ def judged_by(missed: dict[str, float], run: Trajectory) -> Trajectory:
 
 def load_steps(mechanism: Mechanism, integrator: AbstractIntegrator, times: Any) -> LoadSteps:
     """Whether the steps of a run resolve its functions of time.
-
-    Nothing is said of numbers that are being traced.
 
     Args:
         mechanism: with loads and drives that are functions of time.
@@ -196,11 +198,15 @@ def load_steps(mechanism: Mechanism, integrator: AbstractIntegrator, times: Any)
 
 
 def _examine(functions: dict[str, Any], integrator: AbstractIntegrator, times: Any) -> LoadSteps:
-    functions = on_host(functions)
     step, fixed = integrator.requested_step(), integrator.steps_between_saves
-    if not functions or is_traced((functions, step, integrator.breaks, times)):
+    if not functions:
         return LoadSteps(integrator, {})
-    step = concrete(step)
+    if is_traced((functions, step, integrator.breaks, times)):
+        changing = constant({name: f for name, f in functions.items() if is_changing(f)})
+        if step is not None or fixed is not None:
+            return LoadSteps(integrator, _traced_shares(changing, *constant((times, step, fixed))))
+        return LoadSteps(_with_traced_breaks(integrator, changing, constant(times)), {})
+    step, functions = concrete(step), on_host(functions)
     # What is known of them is looked at, also where something else is being traced.
     with jax.ensure_compile_time_eval():
         breaks, missed = _find_breaks(Key(functions, np.asarray(times), step, fixed))
@@ -233,13 +239,94 @@ def _find_breaks(question: Key) -> tuple[np.ndarray, dict[str, float]]:
     return np.concatenate([_times_of_change(rate, looks) for rate in rates]), {}
 
 
-def _times_of_change(rate: np.ndarray, looks: np.ndarray) -> np.ndarray:
-    """The looks [s] between which a function changes that coarser ones do not tell."""
-    every = (len(looks) - 1) // COARSE
-    off = np.abs(rate - np.interp(looks, looks[::every], rate[::every]))
-    unseen = off[1:].reshape(-1, every).sum(axis=1) > RESOLVED * max(np.abs(rate).sum(), 1e-300)
-    changed = np.repeat(unseen, every) & (np.abs(np.diff(rate)) > DIFFERENT * off.max())
-    return looks[np.append(changed, False) | np.append(False, changed)][:MOST_BREAKS]
+def _times_of_change(rate: Any, looks: Any) -> Any:
+    """The looks [s] between which a function changes that coarser ones do not tell; of traced
+    numbers so many, of which those beyond the last are infinite."""
+    every, of = LEAST // COARSE, jnp if is_traced((rate, looks)) else np
+    off = abs(rate - of.interp(looks, looks[::every], rate[::every]))
+    sums = of.maximum(abs(rate).sum(), 1e-300)
+    unseen = off[1:].reshape(-1, every).sum(axis=1) > RESOLVED * sums
+    changed = of.repeat(unseen, every) & (abs(of.diff(rate)) > DIFFERENT * off.max())
+    which = of.append(changed, False) | of.append(False, changed)
+    if of is np:
+        return looks[which][:MOST_BREAKS]
+    chosen = jnp.nonzero(which, size=MOST_BREAKS, fill_value=len(looks))[0]
+    return jnp.append(looks, jnp.inf)[chosen]
+
+
+def _traced_shares(functions: dict[str, Any], times: Any, step: Any, fixed: Any) -> dict[str, Any]:
+    """As `missed_shares`, of numbers that a program traces: some steps at once."""
+    times = jnp.asarray(times)
+    intervals = jnp.diff(times)
+    lengths = jnp.inf if step is None else step
+    counts = jnp.maximum(jnp.ceil(intervals / lengths * (1 - SLIVER)), fixed or 1)
+    counts = jnp.where(jnp.sum(counts) <= MOST, counts, 0.0)
+    ends = jnp.cumsum(counts)
+
+    def edges(first):
+        index = first + jnp.arange(TRACED_TOGETHER + 1.0)
+        i = jnp.minimum(jnp.searchsorted(ends, index, side="right"), len(intervals) - 1)
+        done = (index - (ends[i] - counts[i])) / jnp.maximum(counts[i], 1.0)
+        return times[i] + intervals[i] * jnp.minimum(done, 1.0)
+
+    def share(function):
+        values_at = jax.vmap(functools.partial(_at, function))
+        exact = jax.eval_shape(functools.partial(_at, function), 0.0)[1] is not None
+        parts = 2 if exact else TRACED_IN_A_STEP
+
+        def look(carry):
+            """Largest lasting error, what is missed so far, impulse so far, its least and most."""
+            first, (lasting, missed, impulse, least, most) = carry
+            at = edges(first)
+            steps = jnp.diff(at)
+            looks = at[:-1, None] + steps[:, None] * (jnp.arange(parts) / parts)
+            rates, integrals = values_at(jnp.append(looks.ravel(), at[-1]))
+            rate = jnp.stack(rates)
+            if exact:
+                change = jnp.diff(jnp.stack(integrals)[:, ::parts])
+            else:
+                means = 0.5 * (rate[:, 1:] + rate[:, :-1])
+                change = means.reshape(len(rates), -1, parts).mean(axis=-1) * steps
+            simpson = rate[:, :-1:parts] + 4 * rate[:, parts // 2 :: parts] + rate[:, parts::parts]
+            errors = missed[:, None] + jnp.cumsum(steps * simpson / 6 - change, axis=1)
+            impulses = impulse[:, None] + jnp.cumsum(change, axis=1)
+            sizes = jnp.abs(jnp.column_stack([missed, errors]))
+            # What the next step makes up for is nothing that a body feels.
+            lasting = jnp.maximum(lasting, jnp.minimum(sizes[:, 1:], sizes[:, :-1]).max(axis=1))
+            least = jnp.minimum(least, impulses.min(axis=1))
+            most = jnp.maximum(most, impulses.max(axis=1))
+            carry = lasting, errors[:, -1], impulses[:, -1], least, most
+            return first + TRACED_TOGETHER, carry
+
+        none = jnp.zeros(len(jax.eval_shape(functools.partial(_at, function), 0.0)[0]))
+        start = jnp.zeros(()), (none,) * 5
+        end = jax.lax.while_loop(lambda carry: carry[0] < ends[-1], look, start)[1]
+        lasting, missed, _, least, most = end
+        # The last step has none behind it that would make up for it.
+        largest, total = jnp.maximum(lasting, jnp.abs(missed)), most - least
+        rounding = ends[-1] * jnp.finfo(float).eps * jnp.maximum(abs(most), abs(least))
+        known = (total > rounding) & jnp.isfinite(largest)
+        return jnp.max(jnp.where(known, largest / jnp.where(known, total, 1.0), 0.0), initial=0.0)
+
+    return {name: share(function) for name, function in functions.items()}
+
+
+def _with_traced_breaks(
+    integrator: AbstractIntegrator, functions: dict[str, Any], times: Any
+) -> AbstractIntegrator:
+    """As `_with_breaks`, of numbers that a program traces; steps end at the times of tables too."""
+    if not isinstance(integrator, Adaptive) or not functions:
+        return integrator
+    parts = jax.tree.leaves(functions, is_leaf=lambda x: isinstance(x, AbstractFunctionOfTime))
+    pieced = [x for x in parts if isinstance(x, AbstractFunctionOfTime)]
+    every = [function.knots(times[0], MOST_BREAKS) for function in pieced]
+    looks = jnp.linspace(times[0], times[-1], TRACED + 1)
+    for rates, _ in (jax.vmap(functools.partial(_at, f))(looks) for f in functions.values()):
+        every += [_times_of_change(rate, looks) for rate in rates]
+    present: Any = [] if integrator.breaks is None else [constant(integrator.breaks)]
+    adaptive: Any = integrator
+    breaks = jnp.sort(jnp.concatenate([*present, *every]))[:MOST_BREAKS]
+    return dataclasses.replace(adaptive, breaks=breaks)
 
 
 class _AlongRun(eqx.Module):

@@ -136,6 +136,56 @@ def test_a_run_within_a_program_of_the_user_feels_the_push_too():
     assert float(end(MASS)) == pytest.approx(impulse(pulse, 60.0) / MASS, rel=5e-5)
 
 
+def pulse_table(force, beyond="held"):
+    """0.3 ms within a second, made anew each time it is called."""
+    edges = [0.0, BEGIN, BEGIN + 1e-6, BEGIN + 3e-4, BEGIN + 3e-4 + 1e-6, 1.0]
+    return jc.TimeTable(edges, [0.0, 0.0, force, force, 0.0, 0.0], "linear", beyond=beyond)
+
+
+def switched(force):
+    return lambda time: jnp.where((time > BEGIN) & (time < BEGIN + 3e-4), force, 0.0)
+
+
+# A force that is traced; a table whose every number is made within the program of the user.
+PUSHES = {
+    "table": pulse_table,
+    "table of known numbers": lambda force: pulse_table(1e3),
+    "function": switched,
+}
+
+
+@pytest.mark.parametrize("push", PUSHES.values(), ids=PUSHES)
+def test_steps_of_a_program_of_the_user_say_what_they_pass_over(push):
+    """Not a warning less than outside it, whatever is traced: the numbers of the integrator, those
+    of the push or both."""
+
+    def shares(force, step):
+        rig, steps = pushed(push(force)), jc.integrator.FixedStep(step)
+        return jc.simulate(rig, 0.1, save=3, integrator=steps, throw=False).invariants
+
+    traced = jax.jit(jax.vmap(shares, (None, 0)))(1e3, jnp.array([1e-2, 5e-6]))
+    judged = np.asarray(traced.figures[Check.LOAD_STEP].worst)[:, 0]
+    assert judged[0] == pytest.approx(1.0) and judged[1] < Check.LOAD_STEP.limit
+    known = load_steps(pushed(push(1e3)), jc.integrator.FixedStep(2e-4), np.linspace(0, 0.1, 3))
+    again = float(jax.jit(shares)(1e3, 2e-4).figures[Check.LOAD_STEP].worst[0])
+    assert again == pytest.approx(known.passed["push"], rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("push", "until"),
+    [(pulse_table, 1.0), (lambda f: pulse_table(f, "repeated"), 3.0), (switched, 1.0)],
+    ids=["table", "repeated", "function"],
+)
+def test_adaptive_in_a_program_of_the_user_feels_pushes_that_it_traces(push, until):
+    def end(force):
+        return jc.simulate(pushed(push(force)), until, save=2, throw=False).speed("G")[-1]
+
+    value, slope = jax.jit(jax.value_and_grad(end))(1e3)
+    impulse = 3e-4 * until
+    assert float(value) == pytest.approx(1e3 * impulse / MASS, rel=1e-3)
+    assert float(slope) == pytest.approx(impulse / MASS, rel=1e-3)
+
+
 def test_steps_end_at_breaks_that_are_asked_for():
     breaks = [0.0123, 0.0456]
     run = jc.simulate(pushed(5.0), 0.1, save=2, integrator=jc.integrator.Adaptive(breaks=breaks))
