@@ -248,8 +248,8 @@ def step(
     ]
     by_bearing = dict(zip(model.system.bearings, by_joint(model.system, memories), strict=True))
     after = [*q, *v, *pack_memories(model.layout, by_bearing)]
-    moving = zip(step.contacts, rates.contacts, strict=True)
-    slid = [law.slips_at_end(moved) for law, moved in moving]
+    sliding = zip(step.contacts, rates.contacts, strict=True)
+    slid = [law.slips_at_end(moved) for law, moved in sliding]
     passive, reactions = _passive_rates(step, solution, rates, forces, slid, mean)
     after += [x + h * rate for x, rate in zip(entries[len(after) :], passive, strict=True)]
     after = within_gaps(model.system, model.layout, after)
