@@ -28,7 +28,7 @@ def fresh_excess(result: Any) -> float:
     """The largest excess [%] of the limits on spreads of a design, at fresh points, by runs
     alone."""
     normal = points(len(result.problem.names), FRESH, 99).normal
-    place = result.rounds[-1].candidate.place
+    place = result.round.candidate.place
     values = np.asarray(result.question.values(jnp.asarray(place), normal))
     runs = evaluate_all(result.problem, jnp.asarray(values), chunk=32)
     shares = []

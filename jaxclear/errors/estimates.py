@@ -70,7 +70,8 @@ class Verified(AbstractVerification):
     tenth digit of the start, and `path`: from when on [s], and within which time errors grow e-fold
     [s] (None: its path is an answer); `since` [s]: where the run began, from where on errors count;
     `remedy`: what makes them smaller; `why`: what the integrator was chosen for ("": it was
-    given); `coarser`: the run on worn surfaces with cells twice as wide."""
+    given); `coarser`: the run on worn surfaces with cells twice as wide; `step_ratios`: steps of
+    the replicas over the run's."""
 
     replicas: tuple[Trajectory, ...]
     numbers: Float[np.ndarray, "answers 4"]
@@ -82,6 +83,7 @@ class Verified(AbstractVerification):
     remedy: str = eqx.field(static=True)
     why: str = eqx.field(static=True, default="")
     coarser: Trajectory | None = None
+    step_ratios: tuple[float, ...] = eqx.field(static=True, default=(HALF, QUARTER))
 
     @property
     def entries(self) -> tuple[StandardAnswer, ...]:
@@ -119,7 +121,10 @@ class Verified(AbstractVerification):
         error = f"{worst.share:.2g} {WORDS[worst.part]} (tolerance {worst.tolerance:g})"
         cells = "; " if self.coarser is None or worst.part != "losses" else "; more cells, or "
         name = f"{worst.name[0].upper()}{worst.name[1:]}"
-        return f"{name}: error about {error}{more}{cells}{self.remedy}."
+        # Of a chaotic path smaller steps give another one, whose error is no less.
+        chaotic = "the path is chaotic, so take means over samples"
+        remedy = self.remedy if self.path is None else chaotic
+        return f"{name}: error about {error}{more}{cells}{remedy}."
 
     def estimate(self, run, response):
         value = response(run)
@@ -131,7 +136,7 @@ class Verified(AbstractVerification):
             return Estimate(value, math.nan, f"in finer steps the same fails: {failure}")
         try:
             share = max(factors_of_cells(run).values(), default=1.0)
-            estimate = lambda *each: _estimate_error(*each, share)
+            estimate = lambda *each: _estimate_error(*each, self.step_ratios, share)
             error = jax.tree.map(estimate, value, coarse, *values)
         except (TypeError, ValueError):
             return Estimate(value, math.nan, "the answer is no number, or of another form there")
@@ -142,7 +147,8 @@ class Verified(AbstractVerification):
         return Estimate(value, error, self._how_estimated())
 
     def _how_estimated(self) -> str:
-        steps = "half the step" if len(self.replicas) == 1 else "half and a quarter of the step"
+        more = {QUARTER: "half and a quarter of the step", HALF: "half the step, from two starts"}
+        steps = "half the step" if len(self.replicas) == 1 else more[self.step_ratios[-1]]
         began = not is_traced(self.since) and self.since != 0
         since = f", since {float(self.since):.6g} s" if began else ""
         if self.coarser is not None:
@@ -170,7 +176,12 @@ class Verified(AbstractVerification):
             table[f"{head} [%]"] = [float(f"{part:.2g}") for part in parts]
         marks = [of(t) for t in self.entries]
         table = table.assign(remark=marks) if any(marks) else table
-        return table, f"Error estimate: {self._how_estimated()}. {self.why}".rstrip()
+        how = f"Error estimate: {self._how_estimated()}. {self.why}".rstrip()
+        peaks = {t.place: t.value for t in self.entries if t.part == "peak_force"}
+        means = [t for t in self.entries if t.part == "mean_force"]
+        if any(t.value > peaks.get(t.place, np.inf) for t in means):
+            how += "\nMean contact forces are sums over a joint's contacts, peaks are of one."
+        return table, how
 
 
 class Failed(AbstractVerification):
@@ -266,16 +277,16 @@ def factor_of_cells(surface: AbstractSurface, features: Any, depth: Any, narrow:
 
 
 def _estimate_error(value: Any, coarse: Any, *rest: Any) -> Any:
-    """Of a number, or an array of them, from one on `coarse` cells, others in finer steps and the
-    share of what cells change. Raises `TypeError` or `ValueError` for what is none, and
-    for arrays of another shape."""
-    *values, share = rest
+    """Of a number, or an array of them, from one on `coarse` cells, others in finer steps, the
+    ratios of these steps and the share of what cells change. Raises `TypeError` or `ValueError`
+    for what is none, and for arrays of another shape."""
+    *values, ratios, share = rest
     number, coarse, *others = (
         each if is_traced(each) else np.asarray(each, float) for each in (value, coarse, *values)
     )
     if any(other.shape != number.shape for other in (coarse, *others)):
         raise ValueError("arrays of another shape")
     with np.errstate(invalid="ignore"):
-        by_steps = richardson([abs(number - other) for other in others])
+        by_steps = richardson([abs(number - other) for other in others], ratios)
         error = by_steps + share * abs(number - coarse)
     return error if is_traced(error) else np.asarray(error)[()]

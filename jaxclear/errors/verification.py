@@ -1,10 +1,11 @@
 """A run and its replicas: the numerical errors of its standard answers, and of any other.
 
 An error that falls in proportion to the step is twice what half of it changes, one that falls
-faster is less (Richardson). Where a first replica finds something beyond half of what the
-integrator promises, a second one with quarter steps is asked, as two runs may agree by chance; and
-where paths in gaps have parted, a replica of the finer run whose start is moved in the tenth digit:
-if these two agree, steps were too long; if not, the path is no answer.
+faster is less (Richardson). A second replica is run only where the first does not decide. Where
+paths in gaps have parted, its start is moved in the tenth digit: if the two agree, steps were too
+long; if not, the path is no answer, and the second is one more sample of the means. Otherwise,
+where an error is within what the integrator promises but beyond half of that, it has quarter
+steps, as two runs may agree by chance: an error that is beyond the promise stays beyond it.
 
 Sources: Richardson 1911, Phil. Trans. R. Soc. A 210, 307, doi:10.1098/rsta.1911.0009; Roache 1994,
 J. Fluids Eng. 116, 405, doi:10.1115/1.2910291.
@@ -119,7 +120,7 @@ def _join_intervals(noted: Events, every: int) -> Events:
     return Events(at(noted.times), at(noted.rates), jnp.asarray(of_all))
 
 
-# Share of the promise from which on a second replica is asked.
+# Share of the promise from which on up to the promise a replica with quarter steps is run.
 DOUBT = 0.5
 # Steps of a run up to which its replicas are run unasked: seconds in any mechanism.
 MOST_STEPS = 100_000
@@ -179,25 +180,34 @@ def _verify_by_replicas(
     def repeated(plan: Replica, moved: float = 0.0) -> Trajectory:
         return thin_run(again(plan, moved), plan.every)
 
-    plans: list[Replica] = []
-    replicas: list[Trajectory] = []
+    half = replica(counting, run.time, HALF)
+    if half is None:
+        return Unverified("its steps cannot be refined")
+    replicas, ratios = [repeated(half)], [HALF]
     finer: list[Observed] = []
-    for share in (HALF, QUARTER):
-        plan = replica(counting, run.time, share)
-        if plan is None:
-            return Unverified("its steps cannot be refined")
-        plans.append(plan)
-        replicas.append(repeated(plan))
+    path, chaotic = None, None
+    while True:
         if not replicas[-1].succeeded:
             return Failed(replicas[-1].result)
         finer.append(bounds.observe(replicas[-1]))
         pairs = (bounds.differences(run, coarse, other, finer[-1]) for other in finer)
         rows = list(zip(*pairs, strict=True))
         promised = np.array([_number_or_nan(bounds.tolerance(row[-1])) for row in rows])
-        shares = np.array([float(richardson([each.share for each in row])) for row in rows])
-        if not np.any(~np.isnan(promised) & ~(shares <= DOUBT * promised)):
+        shares = np.array([float(richardson([d.share for d in row], ratios)) for row in rows])
+        gaps = np.array([row[0].part == "gaps" for row in rows])
+        second: tuple[Trajectory, float] | None = None
+        if chaotic is None and np.any(gaps & ~np.isnan(promised) & ~(shares <= promised)):
+            moved, limit = repeated(half, TENTH_DIGIT), float(np.nanmin(promised[gaps]))
+            path, chaotic = _find_chaotic(run, bounds, finer[0], moved, limit)
+            second = None if path is None else (moved, HALF)
+        if len(replicas) == 1 and path is None:
+            undecided = np.any((shares > DOUBT * promised) & (shares <= promised))
+            plan = replica(counting, run.time, QUARTER) if undecided else None
+            second = None if plan is None else (repeated(plan), QUARTER)
+        if len(replicas) > 1 or second is None:
             break
-    errors = [float(richardson([each.off for each in row])) for row in rows]
+        replicas, ratios = [*replicas, second[0]], [*ratios, second[1]]
+    errors = [float(richardson([d.off for d in row], ratios)) for row in rows]
     coarser = _run_on_coarser_cells(run, integrator, repeated)
     if coarser is not None:
         rows_of_cells = bounds.differences(run, coarse, bounds.observe(coarser), finer[-1])
@@ -222,17 +232,15 @@ def _verify_by_replicas(
             shares[k] = means[row.place]
             errors[k] = shares[k] * abs(row.value)
     numbers = np.stack([[row[0].value for row in rows], errors, shares, promised], axis=1)
-    path, chaotic = None, np.zeros(len(rows), bool)
-    gaps = np.array([row[0].part == "gaps" for row in rows])
-    if np.any(gaps & ~np.isnan(promised) & ~(shares <= promised)):
-        limit = float(np.nanmin(promised[gaps]))
-        path, chaotic = _find_chaotic(run, bounds, finer[0], repeated(plans[0], TENTH_DIGIT), limit)
+    chaotic = np.zeros(len(rows), bool) if chaotic is None else chaotic
     of_replica = Unverified(OF_A_REPLICA)
     companions = tuple(dataclasses.replace(each, verification=of_replica) for each in replicas)
     coarser = coarser and dataclasses.replace(coarser, verification=of_replica)
     answers = tuple((row[0].answer, row[0].part, row[0].place, row[0].unit) for row in rows)
     ends = np.asarray(run.time)[0], bounds.promise, answers, integrator.remedy, bounds.why
-    return Verified(companions, numbers, chaotic, path, *ends, coarser=coarser)
+    return Verified(
+        companions, numbers, chaotic, path, *ends, coarser=coarser, step_ratios=tuple(ratios)
+    )
 
 
 def _run_on_coarser_cells(

@@ -223,8 +223,8 @@ def _draw_width(axis: Any, result: Design) -> None:
 def _draw_limit(axis: Any, result: Design) -> None:
     places = np.arange(len(result.limits))
     used = 100 * (1.0 + result.excess)
-    last = result.rounds[-1].check
-    errors = np.zeros(len(used)) if last is None else 100 * last.excess_errors
+    check = result.round.check
+    errors = np.zeros(len(used)) if check is None else 100 * check.excess_errors
     colours = ["C3" if not one <= result.allowed_excess else "C2" for one in result.excess]
     axis.barh(places, np.maximum(used, 0.0), 0.5, color=colours, alpha=0.7)
     axis.errorbar(used, places, xerr=errors, fmt="none", ecolor="k", capsize=3)

@@ -317,7 +317,9 @@ def _update_limits(
     """(limits between updates, saving intervals, which know whether surfaces are due where all of
     these are to wear more rarely than states are saved). `step` [s]: that asked for, or None."""
     duration = spans.stop[-1] - spans.start[0]
-    longest = duration / (FEWEST_UPDATES * updates)
+    # Surfaces wear at saving times as well, however many: more updates are within the intervals.
+    widest = jnp.where(jnp.asarray(updates) > 1, jnp.max(spans.stop - spans.start), duration)
+    longest = jnp.minimum(duration / FEWEST_UPDATES, widest) / updates
     shortest = SHORTEST_PART * duration if step is None else step
     requested = [s.updates for each in wear_maps(system).values() for _, s in each.values()]
     most = [each for each in requested if each is not None]

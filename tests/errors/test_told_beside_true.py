@@ -11,6 +11,7 @@ from scipy.integrate import solve_ivp
 import jaxclear as jc
 from benchmarks.attacks.structures import structures
 from jaxclear.errors import verification
+from jaxclear.errors.estimates import HALF
 from tests.extension.test_contact_law import Cushion
 from tests.rigs.bouncing_journal import CLEARANCE, GRAVITY, MASS, falling
 from tests.rigs.loaded_bearing import loaded_bearing
@@ -155,6 +156,16 @@ def test_what_a_loaded_bearing_loses_is_told_with_its_error(rung):
     assert true <= found.error <= MOST * true
 
 
+def test_an_error_of_worn_depths_counts_surfaces_that_wear_at_saving_times_alone():
+    """More of these than updates are usual in twice as fine a replica: it made no more either."""
+    rig = loaded_bearing(200.0, jc.friction.CoulombTanh(mu_kinetic=0.1), sliding=True)
+    depth = jc.response.PeakWornDepth("B")
+    run = jc.simulate(rig, 0.02, save=401)
+    often = jc.simulate(rig, 0.02, save=3201, verify=False)
+    found = run.estimate(depth)
+    assert abs(found.value - depth(often)) <= found.error <= MOST * abs(found.value - depth(often))
+
+
 def slider_crank(seed):
     """A slider-crank with one loose bearing, drawn: as the prototypes of this room."""
     rng = np.random.default_rng([5, seed])
@@ -181,7 +192,8 @@ def test_places_in_a_gap_are_told_as_far_off_as_they_are(seed):
     (gap,) = (each for each in run.verification.entries if each.part == "gaps")
     assert within(gap.share, float(off.max()) / clearance)
     said = any('Places in the gap, "B": error about' in each for each in run.warnings)
-    assert said == (seed == 11) == (len(run.verification.replicas) == 2)
+    # A place beyond its tolerance needs no quarter of the step to be beyond it.
+    assert said == (seed == 11) and run.verification.step_ratios == (HALF,)
 
 
 def test_paths_that_hang_on_the_tenth_digit_are_no_answer_but_means_are():
@@ -194,6 +206,9 @@ def test_paths_that_hang_on_the_tenth_digit_are_no_answer_but_means_are():
     assert all(sentence.startswith("Places of bodies") for sentence in run.warnings)
     assert run.result.startswith("The run reached its end") and note in str(run)
     assert 0.01 < run.verification.path[0] < 0.08
+    # Its second replica is the first from the other start: no step confirms another here.
+    assert run.verification.step_ratios == (HALF, HALF)
+    assert run.estimate(lambda run: run.time[-1]).why.endswith("half the step, from two starts")
     mean = jc.response.MeanContactForce("B")
     found = run.estimate(mean)
     tight = jc.simulate(rig, 0.08, save=501, integrator=REFERENCE, verify=False)

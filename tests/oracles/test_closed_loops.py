@@ -152,12 +152,13 @@ def test_windows_pass_their_singular_position():
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("optimised_kernels")
 def test_a_linkage_that_folds_the_other_way_is_not_trusted():
-    """At a loose tolerance some runs leave a singular position on another branch, by chance: the
-    repeated run differs."""
+    """At a loose tolerance some runs leave a singular position on another branch, by chance, which
+    roundings decide: the repeated run differs. Of nineteen starting speeds until two have."""
     times, wrong = np.linspace(0.0, 10.0, 6), 0
     loose = jc.integrator.Adaptive(rtol=1e-5, atol=1e-7)
-    for speed in 1 + 0.003 * np.array([5, 17, 37, 46, 71]):
+    for speed in 1 + 0.003 * np.arange(5, 100, 5):
         rig = windows(5, speed)
         run = jc.simulate(rig, times[-1], save=times, integrator=loose, verify=True)
         phi = angle_of_windows(5, times[1:], speed)[0]
@@ -165,10 +166,12 @@ def test_a_linkage_that_folds_the_other_way_is_not_trusted():
         if np.abs(place - np.stack([np.sin(phi), np.cos(phi)], axis=1)).max() > 1e-2:
             wrong += 1
             assert any("error about" in warning for warning in run.warnings)
-    assert wrong
+        if wrong == 2:
+            break
+    assert wrong == 2
 
 
-@pytest.mark.slow
+@pytest.mark.slow(sample=False)
 @pytest.mark.xfail(
     strict=False,
     reason="a step that comes near a singular position enlarges what loops are open by, and steps "

@@ -175,26 +175,27 @@ def _search_design(question: Question, runs: Runs, settings: DesignSettings) -> 
 
 
 def _make_design(search: Sought, runs: Runs, settings: DesignSettings, before: tuple) -> Design:
-    """The last round as a result."""
-    last, question = search.rounds[-1], search.question
-    place = jnp.asarray(last.candidate.place)
+    """The best round as a result."""
+    best, question = search.rounds[search.best], search.question
+    place = jnp.asarray(best.candidate.place)
     names = question.freedom.names
     nominal, tolerance = question.freedom.drawn(place)
     samples = question.samples(place, search.model, search.points)
     none = np.full(len(question.limits), np.nan)
     limited = [one.response for one in question.limits]
-    check, prices = last.check, prices_of(question, last.candidate.multipliers, samples)
+    check, prices = best.check, prices_of(question, best.candidate.multipliers, samples)
     return Design(
         runs.problem,
         question,
         dict(zip(names, map(float, nominal), strict=True)),
         dict(zip(names, map(float, tolerance), strict=True)),
-        last.candidate.cost,
+        best.candidate.cost,
         none if check is None else check.numbers,
         none if check is None else check.errors,
         none if check is None else check.excess,
-        none if search.ended == "infeasible" else prices,
+        none if search.ended == "infeasible" or best.confined else prices,
         tuple(search.rounds),
+        search.best,
         search.ended,
         float(settings.allowed_excess),
         runs.count - before[0],

@@ -44,8 +44,8 @@ class Sample(NamedTuple):
     Args:
         values: values of the response, shape (samples,).
         weights: weights [1], shape (samples,), with a sum of 1.
-        ends: smallest and largest value over the tolerances by first order, shape (2,); 0 where the
-            limit is of another kind.
+        ends: smallest and largest value over the tolerances, at the corners that slopes choose,
+            shape (2,); 0 where the limit is of another kind.
     """
 
     values: Float[Array, " samples"]
@@ -443,7 +443,7 @@ class Probability(AbstractLimit):
 
 
 class WorstCase(AbstractOneSidedLimit):
-    """The value where every dimension is at the bad end of its tolerance, by first order.
+    """The value where every dimension is at the bad end of its tolerance, by slopes at the nominal.
 
     Args:
         response: name of the response or variable.

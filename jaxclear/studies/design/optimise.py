@@ -25,13 +25,15 @@ WHOLLY = 1.0
 
 
 class Candidate(NamedTuple):
-    """A candidate: its `place`, `cost`, `excess` (limits,) [1], what it breaks as a whole [1], and
-    `multipliers` (limits,): cost saved by an excess of 1."""
+    """A candidate: its `place`, `cost`, `excess` (limits,) [1], what it breaks as a whole [1],
+    `multipliers` (limits,): cost saved by an excess of 1, and the `slope` (free,) of the cost along
+    the limits, which ends of free numbers take."""
 
     place: np.ndarray
     cost: float
     excess: np.ndarray
     multipliers: np.ndarray
+    slope: np.ndarray
 
     @property
     def broken(self) -> float:
@@ -141,7 +143,7 @@ def judged(search: Search, place: np.ndarray) -> Candidate:
     """A place as a candidate, with its multipliers."""
     values, slopes = search.evaluate(place)
     sizes = multipliers(values[1:], slopes, place, search)
-    return Candidate(place, float(values[0]), values[1:], sizes)
+    return Candidate(place, float(values[0]), values[1:], sizes, slopes[0] + sizes @ slopes[1:])
 
 
 def multipliers(

@@ -282,14 +282,11 @@ class Question(eqx.Module):
         return Question(self.freedom, self.cost, limits, self.inputs, self.sizes)
 
     def _ends(self, limit, place, model):
-        """Smallest and largest value of what a limit is about, (2,), by first order."""
+        """Values of what a limit is about at its two corners, (2,)."""
         if not limit.extreme():
             return jnp.zeros(2)
-        nominal, tolerance = self.freedom.decoded(place)
-        slope = jax.jacfwd(lambda x: self.one(limit, x, model))(nominal)
-        value = self.one(limit, nominal, model)
-        reach = jnp.sum(jnp.abs(slope) * tolerance)
-        return jnp.stack([value - reach, value + reach])
+        corners = [self.corner(limit, place, model, side) for side in (-1.0, 1.0)]
+        return jnp.stack([self.one(limit, corner, model) for corner in corners])
 
     def one(self, limit: AbstractLimit, values: Array, model: AbstractModel) -> Scalar:
         """The limited response or variable for one part.
@@ -302,18 +299,21 @@ class Question(eqx.Module):
         batch = values[None]
         return self.of(limit, batch, model(batch))[0]
 
-    def corner(self, limit: AbstractLimit, place: np.ndarray, model: AbstractModel) -> np.ndarray:
-        """Values (variables,) of the worst case of a limit, by the slopes of a model.
+    def corner(
+        self, limit: AbstractLimit, place: Array, model: AbstractModel, side: float
+    ) -> Array:
+        """Values (variables,) at which all tolerances raise or lower what a limit is about, by the
+        slopes of a model.
 
         Args:
-            limit: from above or from below.
+            limit: names the response or variable.
             place: the candidate, shape (free,).
             model: whose slopes at the nominal values decide the corner.
+            side: 1 for the largest value, -1 for the smallest.
         """
-        nominal, tolerance = self.freedom.decoded(jnp.asarray(place))
+        nominal, tolerance = self.freedom.decoded(place)
         slope = jax.jacfwd(lambda x: self.one(limit, x, model))(nominal)
-        side = 1.0 if limit.upper() else -1.0
-        return np.asarray(nominal + side * jnp.sign(slope) * tolerance)
+        return nominal + side * jnp.sign(jax.lax.stop_gradient(slope)) * tolerance
 
 
 def checked_cost(cost: Any, freedom: Freedom) -> Cost:

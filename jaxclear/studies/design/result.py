@@ -20,10 +20,9 @@ from jaxclear.studies.surface.response_surface import TRUSTED
 # Limits of lengths and angles below this are priced by the thousandth of a millionth, others by the
 # millionth [m, rad].
 SMALL = 1e-6
-# Of more new runs than this share that failed a design is not seen to hold.
-FEW_FAILED = 0.01
 ENDINGS = {
-    "rounds": "The rounds that were allowed are used up.",
+    "rounds": "The rounds were used up before the search settled: more of them "
+    "(DesignSettings(rounds=...)) may find a better design.",
     "interrupted": "Interrupted: this is the best so far.",
     "infeasible": "",
     "holds": "",
@@ -34,10 +33,11 @@ class Design(AbstractAnswer):
     """A design: `nominal` values and `tolerances` of all variables by name, its `cost`; of each
     limit the number found by new runs with its 95 % error and its price.
 
-    `numbers`, `errors`, `excess` (limits,) are those of the last verification (`nan` without one);
-    `excess` [1] and `prices` [cost for a unit of the bound] belong to the limits in their order.
-    `rounds` are the history, `runs` how many samples were used, `computed` how many of them this
-    time.
+    `numbers`, `errors`, `excess` (limits,) are those of its verification (`nan` without one);
+    `excess` [1] and `prices` [cost for a unit of the bound] belong to the limits in their order;
+    no limit has a price (`nan`) where the search ended before it knew.
+    `rounds` are the history, `best` the number of the one that is the answer: the cheapest of those
+    that hold. `runs` is how many samples were used, `computed` how many of them this time.
     """
 
     problem: Problem
@@ -50,6 +50,7 @@ class Design(AbstractAnswer):
     excess: np.ndarray
     prices: np.ndarray
     rounds: tuple[Round, ...]
+    best: int = eqx.field(static=True)
     ended: str = eqx.field(static=True)
     allowed_excess: float = eqx.field(static=True)
     runs: int = eqx.field(static=True)
@@ -66,14 +67,19 @@ class Design(AbstractAnswer):
         return self.question.limits
 
     @property
+    def round(self) -> Round:
+        """The round that is the answer."""
+        return self.rounds[self.best]
+
+    @property
     def verified(self) -> bool:
         """Whether new runs have looked at this very design."""
-        return self.rounds[-1].check is not None
+        return self.round.check is not None
 
     @property
     def seen_by(self) -> int:
         """New runs that looked at this very design."""
-        check = self.rounds[-1].check
+        check = self.round.check
         return 0 if check is None else check.runs
 
     @property
@@ -87,7 +93,7 @@ class Design(AbstractAnswer):
 
     @property
     def _satisfied(self):
-        check = self.rounds[-1].check
+        check = self.round.check
         return (
             np.zeros(len(self.limits), bool) if check is None else check.holds(self.allowed_excess)
         )
@@ -106,7 +112,7 @@ class Design(AbstractAnswer):
     @property
     def _in_doubt(self):
         """What is said of the new runs where too many of them warn of what a limit is about."""
-        check = self.rounds[-1].check
+        check = self.round.check
         if check is None:
             return ()
         many = lambda name: warned_share(self.problem, name, check.codes) > FEW_WARNED
@@ -120,15 +126,13 @@ class Design(AbstractAnswer):
 
     @property
     def _too_many_failed(self):
-        """Whether so many new runs failed that those which did not may not stand for the parts."""
-        check = self.rounds[-1].check
-        rarest = min(limit.rarest() for limit in self.limits)
-        return check is not None and check.failed > min(FEW_FAILED, rarest) * check.runs
+        check = self.round.check
+        return check is not None and check.too_many_failed(self.question)
 
     @property
     def distrusted(self) -> tuple[str, ...]:
         """Limited responses whose surface does not stand for runs (leave-one-out R2 below 0.9)."""
-        quality = self.rounds[-1].quality
+        quality = self.round.quality
         return tuple(name for name in self._limited if quality.get(name, 1.0) < TRUSTED)
 
     @property
@@ -216,7 +220,7 @@ class Design(AbstractAnswer):
         return f"the {limit.words()} is {number}, {excess} {side} {as_written(limit.bound())}"
 
     def _failure_text(self):
-        check = self.rounds[-1].check
+        check = self.round.check
         values = zip(self.question.freedom.names, check.failed_at, strict=True)
         such = ", ".join(f"{name} = {value:.6g}" for name, value in values)
         return (

@@ -1,9 +1,14 @@
 """From a question to a design that keeps its limits: fit, optimise, verify, tighten.
 
-Each round takes the cheapest candidate on a surface, verifies it by new runs, and shifts each limit
-by what the surface was wrong there. The runs join the surface of the next round, which covers half
-as much about the candidate. A round whose candidate keeps every limit, and leaves none that decides
-unused, is the last.
+Each round takes the cheapest candidate on a surface over a region, and verifies it by new runs,
+which join the surface of the next round. That is moved over the candidate, and shifted to what the
+runs said there. A region covers half as much where the surface was wrong of a limit that decides. A
+round is the last where the surface was right, every limit is kept, and no end of the region holds
+the candidate. The design is the cheapest of all that runs saw to keep the limits.
+
+Source: Conn, Gould & Toint 2000, Trust-Region Methods, chapter 6, doi:10.1137/1.9780898719857;
+surfaces that agree with runs at the candidate: Alexandrov, Dennis, Lewis & Torczon 1998, Struct.
+Optim. 15, 16, doi:10.1007/BF01197433.
 """
 
 from typing import Any, NamedTuple
@@ -18,7 +23,7 @@ from jaxclear.ground.arguments import check_count, check_name
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, count, quantity
 from jaxclear.studies.design.discrete import chosen
 from jaxclear.studies.design.lagrangian import cheapest_by_steps
-from jaxclear.studies.design.optimise import Candidate, Search, cheapest
+from jaxclear.studies.design.optimise import ACTIVE, Candidate, Search, cheapest
 from jaxclear.studies.design.population import (
     AbstractModel,
     Direct,
@@ -96,20 +101,23 @@ class DesignSettings(AbstractQuantified):
 
 class Round(NamedTuple):
     """What a round found: the candidate, its check, R2 of the surface by response (none where the
-    problem answers itself), runs so far, the size of the region that the surface covers [1]."""
+    problem answers itself), runs so far, the size of the region that the surface covers [1], and
+    whether an end of it, not of what may be chosen, holds the candidate."""
 
     candidate: Candidate
     check: Check | None
     quality: dict[str, float]
     runs: int
     region: float
+    confined: bool
 
 
 class Sought(NamedTuple):
-    """All rounds, the question with the sizes of its limits, why the search ended, what answered
-    last and at which points."""
+    """All rounds, which of them is the answer, the question with the sizes of its limits, why the
+    search ended, what answered in that round and at which points."""
 
     rounds: list[Round]
+    best: int
     question: Question
     ended: str
     model: AbstractModel
@@ -132,19 +140,23 @@ def sought(question: Question, runs: Runs, settings: DesignSettings, direct: boo
         if not seeking.rounds:
             raise
         seeking.ended = "interrupted"
-    return Sought(seeking.rounds, seeking.question, seeking.ended, seeking.model, seeking.points)
+    best = seeking.find_best()
+    return Sought(seeking.rounds, best, seeking.question, seeking.ended, *seeking.models[best])
 
 
 class _Seeking:
-    """The state of a search: the place reached, shifts of the limits, the surface's region."""
+    """The state of a search: the place reached and what runs said there, the surface's region."""
 
     def __init__(self, question: Question, runs: Runs, settings: DesignSettings, direct: bool):
         self.question, self.runs, self.settings, self.direct = question, runs, settings, direct
         freedom = question.freedom
         self.place = freedom.encoded(freedom.start, freedom.usual)
-        self.shift = np.zeros(len(question.limits))
+        # Excesses (limits,) that runs found at this place; none yet.
+        self.verified: np.ndarray | None = None
         self.region, self.ended = 1.0, "rounds"
         self.rounds: list[Round] = []
+        # What answered in each round, and at which points.
+        self.models: list[tuple[AbstractModel, Points]] = []
         # Until there is a surface, and points for it.
         self.model: AbstractModel = Direct(runs.problem)
         self.points = points(len(freedom.names), 1, settings.seed)
@@ -153,32 +165,60 @@ class _Seeking:
 
     def go(self) -> None:
         """Round after round."""
+        allowed = self.settings.allowed_excess
         for number in range(self.settings.rounds):
             if not self.direct:
                 self._fit_surface(number)
-            candidate = self._find_candidate(number)
-            self.place = candidate.place
+            candidate, confined = self._find_candidate(number)
+            self.models.append((self.model, self.points))
             # Kept before it is verified: an interrupt may come in between.
-            self.rounds.append(self._make_round(candidate, None))
-            infeasible = candidate.broken > self.settings.allowed_excess
+            self.rounds.append(self._make_round(candidate, None, confined))
             check = self._check_candidate(number, candidate)
-            self.rounds[-1] = self._make_round(candidate, check)
-            if self._is_good(candidate, check):
+            self.rounds[-1] = self._make_round(candidate, check, confined)
+            # What is not known as well as is asked is to keep its limit by its error, too.
+            unsure = np.where(check.excess_errors > allowed, check.excess_errors, 0.0)
+            self.place, self.verified = candidate.place, check.excess + unsure
+            wrong = self._is_wrong(candidate, check)
+            if self._is_kept(check) and not wrong and not confined:
                 self.ended = "holds"
                 return
-            infeasible &= bool(np.any(~(check.excess <= self.settings.allowed_excess)))
+            broken = candidate.broken > allowed and not confined
+            infeasible = broken and bool(np.any(~(check.excess <= allowed)))
             self.ended = "infeasible" if infeasible else "rounds"
             if infeasible and self.direct:
                 return
-            wrong = check.excess - (candidate.excess - self.shift)
-            # What is not known as well as is asked is to keep its limit by its error, too.
-            unsure = check.excess_errors > self.settings.allowed_excess
-            wrong = wrong + np.where(unsure, check.excess_errors, 0.0)
-            self.shift = np.where(np.isfinite(wrong), wrong, self.shift)
-            self.region *= 0.5
+            if wrong and not self.direct:
+                self.region *= 0.5
 
-    def _make_round(self, candidate: Candidate, check: Check | None) -> Round:
-        return Round(candidate, check, self.quality, self.runs.count, self.region)
+    def find_best(self) -> int:
+        """The number of the cheapest round that keeps the limits; where none does, of the one that
+        breaks them least, or of the first if no run has looked at it."""
+        checks = [one.check for one in self.rounds]
+        kept = [k for k, check in enumerate(checks) if check is not None and self._is_kept(check)]
+        if kept:
+            self.ended = "rounds" if self.ended == "infeasible" else self.ended
+            return min(kept, key=lambda k: self.rounds[k].candidate.cost)
+        excess = [np.inf if check is None else check.excess.max() for check in checks]
+        return int(np.argmin(np.nan_to_num(excess, nan=np.inf)))
+
+    def _make_round(self, candidate: Candidate, check: Check | None, confined: bool) -> Round:
+        return Round(candidate, check, self.quality, self.runs.count, self.region, confined)
+
+    def _is_kept(self, check: Check) -> bool:
+        """Whether runs keep every limit, and so few fail that those that do not stand for the
+        parts."""
+        kept = check.holds(self.settings.allowed_excess)
+        return bool(np.all(kept)) and not check.too_many_failed(self.question)
+
+    def _is_wrong(self, candidate: Candidate, check: Check) -> bool:
+        """Whether what the candidate was chosen by misses a limit that decides by more than what is
+        accepted and the error; of choices from a catalogue any may decide."""
+        sure = self.settings.allowed_excess + check.excess_errors
+        assert self.verified is not None
+        miss = np.abs(self.verified - candidate.excess)
+        decides = ~(np.maximum(self.verified, candidate.excess) < -sure)
+        decides |= any(choice.offered for choice in self.question.freedom.choices)
+        return bool(np.any(~(miss <= sure) & decides))
 
     def _ends_of_region(self) -> tuple[np.ndarray, np.ndarray]:
         """The places that the region holds: a box about the last candidate."""
@@ -219,8 +259,9 @@ class _Seeking:
             *(e.max(axis=0) for e in ends)
         )
 
-    def _find_candidate(self, number: int) -> Candidate:
-        """The cheapest of the region, on the catalogues where there are some."""
+    def _find_candidate(self, number: int) -> tuple[Candidate, bool]:
+        """The cheapest of the region, on the catalogues where there are some; and whether to go on
+        beyond an end of the region may save more than is accepted, as a share of the cost."""
         low, high = self._ends_of_region()
         starts = [self.place]
         if number == 0:
@@ -233,7 +274,9 @@ class _Seeking:
         if self.drawn_about:
             # Where rare parts lie depends on the design: once more, about those of this one.
             best = self._best([best.place], self._draw_population(best.place), low, high)
-        return best
+        ends = (best.place < low + ACTIVE) & (low > 0.0) | (best.place > high - ACTIVE) & (high < 1)
+        saved = 0.5 * self.region * np.abs(best.slope[ends]).sum()
+        return best, bool(saved > self.settings.allowed_excess * abs(best.cost))
 
     def _draw_population(self, place: np.ndarray) -> Points:
         """The points of the population, about the rare parts that decide at a place."""
@@ -244,7 +287,13 @@ class _Seeking:
         return self.points
 
     def _best(self, starts: list, drawn: Points, low: np.ndarray, high: np.ndarray) -> Candidate:
-        search = Search(self.question, self.model, drawn, self.shift, low, high)
+        search = Search(
+            self.question, self.model, drawn, np.zeros(len(self.question.limits)), low, high
+        )
+        if self.verified is not None:
+            # The surface says at the last candidate what runs say.
+            shift = self.verified - search.evaluate(self.place)[0][1:]
+            search = search._replace(shift=np.where(np.isfinite(shift), shift, 0.0))
         if self.settings.uses_steps(len(low)):
             return chosen(search, cheapest_by_steps(search, starts[0]))
         return chosen(search, cheapest(search, starts))
@@ -264,17 +313,6 @@ class _Seeking:
                 return check
             samples *= MORE
         return check
-
-    def _is_good(self, candidate: Candidate, check: Check) -> bool:
-        """Whether every limit is kept, and what decides is used up."""
-        allowed = self.settings.allowed_excess
-        holds = check.holds(allowed)
-        used = (candidate.multipliers <= 0) | (
-            check.excess >= -np.maximum(allowed, check.excess_errors)
-        )
-        if any(choice.offered for choice in self.question.freedom.choices):
-            used[:] = True
-        return bool(np.all(holds & used)) and check.failed == 0
 
 
 def rare_regions(

@@ -21,6 +21,8 @@ from jaxclear.studies.infinite_responses import refuse_infinite, replace_infinit
 from jaxclear.studies.statistics.scrambled import half_widths
 from jaxclear.studies.surface.control_variate import corrected_values
 
+# Of more new runs than this share that failed a design is not seen to hold.
+FEW_FAILED = 0.01
 # What limits infinite responses, as lives may be.
 INSTEAD = "take limit.Quantile or limit.Probability"
 
@@ -44,6 +46,12 @@ class Check(NamedTuple):
         error is larger than that, it must not cross the bound."""
         sure = self.excess_errors <= allowed
         return self.excess + np.where(sure, 0.0, self.excess_errors) <= allowed
+
+    def too_many_failed(self, question: Question) -> bool:
+        """Whether so many runs failed that those which did not may not stand for the parts: more
+        than 1 %, or than the share that the rarest limit of the question speaks of."""
+        rarest = min(limit.rarest() for limit in question.limits)
+        return self.failed > min(FEW_FAILED, rarest) * self.runs
 
 
 class Verifier(NamedTuple):
@@ -123,7 +131,9 @@ class Verifier(NamedTuple):
         a `large` sample; and the largest number that is told, where some are infinite."""
         question, names = self.question, self.runs.problem.response_names
         if limit.extreme():
-            corner, by_name = question.corner(limit, place, model)[None], {}
+            side = 1.0 if limit.upper() else -1.0
+            corner = np.asarray(question.corner(limit, jnp.asarray(place), model, side))[None]
+            by_name: dict[str, np.ndarray] = {}
             if limit.response in names:
                 by_name = dict(zip(names, self.runs.ask(corner, "worst case").T, strict=True))
             data, largest = _finite(limit, np.asarray(question.of(limit, corner, by_name)))
