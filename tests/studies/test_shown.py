@@ -7,6 +7,7 @@ import pytest
 
 import jaxclear as jc
 from jaxclear.studies.answer import Column, Stated, dataset_of, table_of, with_interval
+from jaxclear.studies.identification.result import Unknown
 from jaxclear.studies.statistics.scrambled import Statistic
 from jaxclear.studies.statistics.summary import coverage_of_deviation
 
@@ -143,3 +144,22 @@ def test_columns_are_stated_once():
     assert dict(data.sizes) == {"response": 1, "variable": 2, "point": 1} and data.runs == 3
     assert data["share high"].values.tolist()[0][0] == 0.7 and np.isnan(data["share"][0, 1])
     assert data["why"].values.tolist() == [["", "none"]] and data["run"].units == "s"
+
+
+def test_a_sentence_of_a_study_states_its_numbers_with_errors_and_unit():
+    """A product of two sizes of 2 and 0.1: mean 4, deviation 0.283."""
+    study = jc.monte_carlo(ASKED, 64)
+    fit, area, *others = study.sentence().split(" (95 %). ")
+    middle, spread = area.removeprefix('"area": mean ').split(" mm2, standard deviation ")
+    for text, value in ((middle, 4.0), (spread.removesuffix(" mm2"), 0.283)):
+        number, error = map(float, text.split(" ± "))
+        assert 0 < error < 0.2 and abs(number - value) < 2 * error
+    assert fit.startswith('"fit": mean ') and others == ["64 samples, 0 failed, 0 with warnings."]
+    assert "95 %" not in study.count_sentence()
+
+
+def test_an_unknown_prints_its_interval_with_its_unit():
+    """It was a tuple of numbers with 17 digits."""
+    ends = 1.23456789e-4, 1.1e-4, 1.3e-4, 1e-5, 1e-3
+    unknown = Unknown("clearance", "m", *ends, 0.02, "identified", "regression")
+    assert str(unknown) == "clearance is 0.0001235 m, 0.00011 to 0.00013 m with 95 %."

@@ -58,6 +58,9 @@ class Unknown(NamedTuple):
     verdict: str
     method: str
 
+    def __str__(self) -> str:
+        return self.sentence()
+
     def sentence(self) -> str:
         """The unknown in words."""
         unit = "" if self.unit == "1" else f" {self.unit}"

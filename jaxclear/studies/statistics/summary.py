@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import scipy
 
+from jaxclear.ground.printing import with_error
 from jaxclear.ground.table import as_table
 from jaxclear.ground.wording import listed
 from jaxclear.integrators import Outcome
@@ -203,3 +204,19 @@ def spread_of(summary: Any) -> tuple[Any, ...]:
     units = dict(table.attrs.get("units", {}))
     renamed = as_table(table.rename(columns=every), units=units)
     return renamed, *(f'"{n}": {e.unresolved}' for n, e in unresolved)
+
+
+def spread_in_words(summary: Any) -> list[str]:
+    """Mean and deviation of each response with their 95 % errors and unit, as `print` shows them;
+    none of a response without a finite mean."""
+    table = spread_of(summary)[0]
+    mean, error = [name for name in table if name.startswith("mean")][:2]
+    deviation = "standard deviation"
+    sentences = []
+    for row in table.to_dict("records"):
+        unit = "" if row["unit"] == "1" else f" {row['unit']}"
+        middle = with_error(row[mean], row[error])
+        spread = with_error(row[deviation], row[f"{deviation} error"])
+        text = f'"{row["response"]}": mean {middle}{unit}, {deviation} {spread}{unit} (95 %).'
+        sentences += [text] * bool(np.isfinite(row[mean]))
+    return sentences
