@@ -574,3 +574,20 @@ def test_a_design_does_not_end_at_the_end_of_its_search_region():
     ):
         assert found.holds and found.ended == "holds" and not found.round.confined
         assert found.cost == pytest.approx(least, rel=error)
+
+
+def test_a_design_by_moments_of_heavy_tails_says_that_its_error_holds_less_often():
+    """The error of mean + 3 deviations of exp of a normal number holds in 85 % of cases or so. Of a
+    sum of two it holds."""
+    names, limit = "ab", jc.limit.MeanAndDeviation("y", at_most=9.0)
+    priced = dict.fromkeys(names, jc.cost.Reciprocal(1.0))
+    for function, heavy in ((jnp.exp, True), (lambda total: total, False)):
+        asked = jc.FunctionProblem(
+            lambda a, b, function=function: {"y": function(a + b)},
+            {n: jc.Dimension(0.0, jc.distribution.Normal(1.0)) for n in names},
+        )
+        settings = jc.DesignSettings(surface=True, samples=64, check=32, rounds=1)
+        free = dict.fromkeys(names, (2.0, 3.0))
+        found = jc.design(asked, priced, limit, tolerance=free, settings=settings)
+        assert ('"y" has heavy tails (kurtosis' in found.sentence()) == heavy
+        assert ("samples are needed" in found.sentence()) == heavy

@@ -192,6 +192,7 @@ class Design(AbstractAnswer):
             "alone and may not be the cheapest."
             for name in self.distrusted
         ]
+        parts += () if self.round.check is None else self.round.check.remarks
         return " ".join([*parts, ENDINGS[self.ended]]).rstrip()
 
     def unit(self, i: int) -> str:
