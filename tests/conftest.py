@@ -7,6 +7,7 @@ sets go before."""
 import gc
 import os
 from pathlib import Path
+from zlib import crc32
 
 import jax
 import pytest
@@ -37,6 +38,30 @@ settings.register_profile("searching", deadline=None, print_blob=True)
 settings.load_profile(
     "repeatable" if os.environ.get("CI") else os.environ.get("HYPOTHESIS_PROFILE", "repeatable")
 )
+
+
+def pytest_addoption(parser):
+    parser.addoption(
+        "--slow-sample",
+        action="store_true",
+        help="with `-m slow`: one case of each slow function, none marked `slow(sample=False)`",
+    )
+
+
+def pytest_collection_modifyitems(config, items):
+    """With `--slow-sample` one case of each slow function stays, and one more of each forty, spread
+    and the same in every run."""
+    if not config.getoption("slow_sample"):
+        return
+    functions, chosen = {}, set()
+    for item in items:
+        marker = item.get_closest_marker("slow")
+        if marker is not None and marker.kwargs.get("sample", True):
+            functions.setdefault(item.nodeid.partition("[")[0], []).append(item)
+    for name, cases in functions.items():
+        first, size, count = crc32(name.encode()), len(cases), 1 + len(cases) // 40
+        chosen |= {cases[(first + k * size // count) % size] for k in range(count)}
+    items[:] = [item for item in items if item in chosen]
 
 
 # Every compiled program maps pieces of memory, a few tens of them. Linux allows a process 65 530;

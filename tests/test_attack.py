@@ -126,7 +126,7 @@ def test_a_run_without_contacts_tells_errors_of_its_reactions():
     assert all(0 < fine[name] < 0.2 * coarse[name] for name in coarse)
 
 
-@pytest.mark.slow
+@pytest.mark.slow(sample=False)
 def test_quick_attack_finds_no_wrong_number_of_the_default_without_a_sentence():
     rows = [
         row

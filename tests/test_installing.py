@@ -93,7 +93,7 @@ def test_all_joins_every_extra_of_users():
     assert extras["all"] == [f"jaxclear[{','.join(users)}]"]
 
 
-@pytest.mark.slow
+@pytest.mark.slow(sample=False)
 def test_the_wheel_holds_what_the_package_reads(tmp_path):
     """Built, unpacked, and used from elsewhere, without the working tree."""
     root = Path(__file__).parents[1]

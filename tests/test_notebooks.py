@@ -11,7 +11,7 @@ BOOK = Path(__file__).parents[1] / "notebooks"
 NOTEBOOKS = [p for p in sorted(BOOK.rglob("*.md")) if "file_format: mystnb" in p.read_text()]
 
 
-@pytest.mark.slow
+@pytest.mark.slow(sample=False)
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: str(path.relative_to(BOOK)))
 def test_notebook_runs(path):
     notebook = read.read_myst_markdown_notebook(path.read_text(), path=path)

@@ -141,7 +141,7 @@ def test_an_example_can_be_run_and_asked(name, here, capsys):
     assert scene.duration and scene.problem().response_names == tuple(scene.responses)
 
 
-@pytest.mark.slow
+@pytest.mark.slow(sample=False)
 def test_a_record_is_identified_and_reported(here, capsys):
     """A record that is a run of the scene with another clearance."""
     run = jc.simulate(pendulum().mechanism, 0.02, save=401)
@@ -257,7 +257,7 @@ main(sys.argv[1:])
 """
 
 
-@pytest.mark.slow
+@pytest.mark.slow(sample=False)
 def test_monte_carlo_of_a_scene_is_interrupted_goes_on_and_is_reported(here, capsys):
     asked = ["monte-carlo", "scene.yaml", "--samples", "3e4", "--chunk", "16", "--quiet"]
     begun = subprocess.Popen(

@@ -145,7 +145,7 @@ def constraint_rows(mechanism: jc.Mechanism) -> int:
     q, v = unpack_motion(system, list(start_of(mechanism)))
     motions = kinematics.link_motions(system, q, v, 0.0)
     return sum(
-        len(constraints.constraint_rows(system, motions, closure).kept)
+        len(constraints.constraint_rows(system, motions, closure).moving)
         for closure in system.closures
     )
 

@@ -44,6 +44,7 @@ def columns_of(path: str | Path, names: Iterable[str]) -> list[np.ndarray]:
 def _detect_separators(path: Path) -> tuple[str, str]:
     """What stands between columns, and before decimals."""
     with path.open(encoding="utf-8-sig") as file:
-        first, second = file.readline(), file.readline()
-    between = next((mark for mark in (";", "\t") if mark in first), ",")
-    return between, "," if between != "," and "," in second and "." not in second else "."
+        first = file.readline()
+        between = next((mark for mark in (";", "\t") if mark in first), ",")
+        has_commas = between != "," and any("," in line for line in file)
+    return between, "," if has_commas else "."

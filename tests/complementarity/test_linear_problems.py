@@ -18,7 +18,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import jaxclear  # noqa: F401  float64
-from jaxclear.complementarity import LCP, HorizontalLCP, InteriorPoint, Outcome
+from jaxclear.complementarity import LCP, HorizontalLCP, InteriorPoint, Outcome, interior_point
 from tests.rigs.lemke import lemke, pivoted
 
 REFERENCE = json.loads((Path(__file__).parents[1] / "refdata" / "complementarity.json").read_text())
@@ -250,3 +250,14 @@ def test_bad_shapes_and_settings_are_refused_before_tracing(words):
     with pytest.raises(ValueError) as refusal:
         REFUSED[words]()
     assert words in str(refusal.value)
+
+
+def test_a_step_that_cannot_come_near_the_centre_is_the_shortest():
+    """So that the next one starts where this one did, but for little."""
+    one, aside, still = np.ones(2), np.array([1.0, 1e-9]), np.zeros(2)
+    found = interior_point._longest_central_step(one, aside, one, still, still)
+    assert found == pytest.approx(interior_point.SHORTENED ** (interior_point.TRIES - 1))
+    assert interior_point._longest_central_step(one, one, one, still, still) == 1.0
+    # A whole step would take one of them to zero.
+    away = np.array([-1.0, 1.0])
+    assert 0.5 < interior_point._longest_central_step(one, one, one, away, still) < 0.8

@@ -92,8 +92,9 @@ def corners(problem):
     return problem.delassus[0][0], problem.free_velocity[0], law.low, n
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:jaxclear runs a time loop through XLA:RuntimeWarning")
-@pytest.mark.parametrize("drive", [pytest.param(True, marks=pytest.mark.slow), False])
+@pytest.mark.parametrize("drive", [True, False])
 def test_friction_of_the_slider_in_its_guide(monkeypatch, drive):
     """The horizontal LCP of both corners, for a crank that is driven and one that is let go."""
     free = {"drive": None, "crank_angle": -2.2, "crank_speed": 0.0}

@@ -180,7 +180,7 @@ def test_parts_worn_by_as_much_as_their_play_still_keep_the_books():
     assert np.all(again.worn_depth("P", "guide") >= found.worn_depth("P", "guide"))
 
 
-@pytest.mark.slow
+@pytest.mark.slow(sample=False)
 def test_derivatives_of_wear_are_those_of_differences():
     """By hardness, breadth and load, of volumes, of depths and of one on the ramp; by hardness
     volume goes with one over it."""

@@ -91,7 +91,7 @@ SLOW = pytest.mark.slow
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(n, marks=SLOW if n in ("wide", "high") else ()) for n in MAPS]
+    "name", [pytest.param(n, marks=SLOW if n in ("sphere", "wide", "high") else ()) for n in MAPS]
 )
 def test_volume_is_conserved(name):
     wear_map, events = MAPS[name]
@@ -145,7 +145,9 @@ def test_areas_add_up():
     np.testing.assert_allclose(SPHERE.areas().sum(), 4 * np.pi * (10e-3) ** 2, rtol=1e-14)
 
 
-@pytest.mark.parametrize("name", [pytest.param("cylinder", marks=SLOW), "sphere", "walls"])
+@pytest.mark.parametrize(
+    "name", [pytest.param("cylinder", marks=SLOW), pytest.param("sphere", marks=SLOW), "walls"]
+)
 def test_deposit_has_finite_derivatives(name):
     """Along all arguments at once: one that is no number makes the sum none."""
     wear_map, events = MAPS[name]

@@ -100,6 +100,7 @@ def test_joints_of_a_plane_beside_each_other():
     assert peaks == {f'peak contact force, "on {name}"' for name in FLAT}
 
 
+@pytest.mark.slow
 def test_couplings_beside_joints_and_each_other():
     assert 'peak contact force, "l"' in answers(coupled())
 

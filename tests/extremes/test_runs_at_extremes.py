@@ -30,7 +30,7 @@ INTEGRATORS = {
     "fixed": jc.integrator.FixedStep(step=1e-6),
 }
 # Joints like others, or others with more: their runs go with the long tests.
-LONG = {"ball", "journal", "journal_that_wears", "journal_with_collars", "planar"}
+LONG = {"ball", "guide", "journal", "journal_that_wears", "journal_with_collars", "planar"}
 
 
 def compiled(kind, integrator):
@@ -75,7 +75,7 @@ def test_run_ends_or_says_why(kind, integrator):
     check()
 
 
-@pytest.mark.slow
+@pytest.mark.slow(sample=False)
 @pytest.mark.parametrize("kind", ["planar", "ball"])
 def test_derivative_of_a_run_from_concentric_rest_is_finite(kind):
     def final(p):

@@ -46,7 +46,7 @@ def test_a_slope_is_that_of_runs_beside_and_is_refused_after_touches(tmp_path):
     assert "A slope at 0.006 s is nan" in instance.messages[-1]
 
 
-@pytest.mark.slow
+@pytest.mark.slow(sample=False)
 def test_slopes_are_those_of_simulate(tmp_path):
     """Through some ten touches, along two numbers, where simulate refuses them too."""
     step = jc.integrator.FixedStep(1e-6)

@@ -483,9 +483,10 @@ def test_losses_beside_rigid_flanks_are_refused(integrator):
         jc.simulate(rig, 0.1, integrator=integrator)
 
 
+@SLOW
 @pytest.mark.parametrize(
     "solver",
-    [pytest.param(jc.integrator.MuntheKaas(4), marks=SLOW), diffrax.Kvaerno5()],
+    [jc.integrator.MuntheKaas(4), diffrax.Kvaerno5()],
     ids=["on groups", "implicit"],
 )
 def test_bristles_end_at_their_bound_in_loops_of_diffrax(solver):

@@ -37,7 +37,7 @@ def of_the_motion(values):
     return np.asarray(jax.jacfwd(bounces.by_hand)(values, END))
 
 
-@pytest.mark.slow
+@pytest.mark.slow(sample=False)
 def test_a_slope_is_refused_where_its_parts_nearly_cancel_in_a_response():
     """What is left of the height is a hundredth of its slope, by no more than whose error it is
     told: of that no state of the run knows."""
@@ -52,7 +52,7 @@ def test_a_slope_is_refused_where_its_parts_nearly_cancel_in_a_response():
     assert np.isnan(found["left"])
 
 
-@pytest.mark.slow
+@pytest.mark.slow(sample=False)
 def test_a_slope_is_refused_where_a_run_ends_before_it_takes_an_impact_that_is_due():
     """Steps take an impact in their second half one step later: a run that ends between is on the
     other side of it, and runs in longer steps are too."""
@@ -73,7 +73,7 @@ def test_a_slope_is_refused_where_a_run_ends_before_it_takes_an_impact_that_is_d
     np.testing.assert_allclose(slopes(end), wanted, rtol=0.01)
 
 
-@pytest.mark.slow
+@pytest.mark.slow(sample=False)
 def test_slopes_of_coarse_steps_are_right_or_refused_both_ways():
     problem = asked(COARSE, {"height": height})
     values = problem.nominal()
@@ -85,7 +85,7 @@ def test_slopes_of_coarse_steps_are_right_or_refused_both_ways():
         np.testing.assert_allclose(found[1:], wanted[1:], rtol=0.01)
 
 
-@pytest.mark.slow
+@pytest.mark.slow(sample=False)
 @pytest.mark.parametrize("saves", [2, 26, 10001])
 def test_slopes_of_a_run_are_right_or_refused(saves):
     """However often it is saved: twice in a step too, where other steps are shorter ones. On the
@@ -147,14 +147,14 @@ def shares(integrator):
     return {name: np.asarray(each * at) / values[name] for name, each in found.items()}
 
 
-@pytest.mark.slow
+@pytest.mark.slow(sample=False)
 def test_of_slip_that_chatters_there_is_none():
     """At 20 us, a study's default, they were 10 % (mean force) and 23 % (wear) off."""
     told = shares(jc.integrator.FixedStep())
     assert np.isnan(told["mean force"]).all() and np.isnan(told["worn volume"]).all()
 
 
-@pytest.mark.slow
+@pytest.mark.slow(sample=False)
 def test_steps_that_resolve_it_have_one():
     """Also where wear enters at updates: then `Adaptive` is a loop within another one, which goes
     through its motion once for every variable."""

@@ -59,7 +59,7 @@ def answers(asked, discrete=False):
     return of
 
 
-@pytest.mark.slow
+@pytest.mark.slow(sample=False)
 def test_a_lossless_bounce_has_the_derivatives_of_its_closed_form():
     """It touches after c / v and parts pi / omega later; at most the force is omega m v."""
     speed, omega = -0.2, 3e3
@@ -80,7 +80,7 @@ def test_a_lossless_bounce_has_the_derivatives_of_its_closed_form():
     assert not np.isnan(np.delete(found.ravel(), 0)).any()
 
 
-@pytest.mark.slow
+@pytest.mark.slow(sample=False)
 @pytest.mark.parametrize("law", LAWS)
 def test_peaks_and_touches_of_every_kind_of_law_have_the_derivatives_of_the_motion(law):
     contact, own = LAWS[law]
@@ -103,7 +103,7 @@ def test_peaks_and_touches_of_every_kind_of_law_have_the_derivatives_of_the_moti
     assert np.all(abs(found - wanted) < 5e-3 * abs(wanted) + 1e-5 * scale)
 
 
-@pytest.mark.slow
+@pytest.mark.slow(sample=False)
 def test_sensitivity_agrees_on_a_peak():
     only = {"peak": PEAK}
     contact = LAWS["Flores"][0]
@@ -189,7 +189,7 @@ def test_slopes_of_a_peak_do_not_hang_on_where_saving_times_fall(integrator, law
         np.testing.assert_allclose(slopes(saves), seldom, rtol=5e-3, atol=2e-3)
 
 
-@pytest.mark.slow
+@pytest.mark.slow(sample=False)
 def test_a_peak_with_which_a_run_ends_has_the_derivative_of_the_force_at_that_time():
     """The contact is still pressed harder and harder: later touches press less by then, which at a
     highest point of the path they would not."""

@@ -114,7 +114,7 @@ def differences(answer, values, end):
     return half + (half - whole) / 3, np.linalg.norm(half - whole, axis=0)
 
 
-@pytest.mark.slow
+@pytest.mark.slow(sample=False)
 @pytest.mark.parametrize("name", CASES)
 def test_every_joint_has_the_derivatives_of_its_motion(name):
     """To half a hundredth, as far as differences tell: 7e-4 measured where they tell it best."""

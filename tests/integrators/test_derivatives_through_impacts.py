@@ -123,7 +123,7 @@ def two_balls(gap, radius, force):
     )
 
 
-@pytest.mark.slow
+@pytest.mark.slow(sample=False)
 def test_a_driven_ball_that_strikes_another_has_the_derivatives_of_its_closed_form():
     """Loss x2(T)^2 by both places and speeds, and how the struck ball moves on
     (../refdata/diff_contact_gradients, driven two balls): 1e-3 in steps of 0.1 ms."""
@@ -187,7 +187,7 @@ def test_a_journal_that_strikes_sliding_and_sticking_has_the_derivatives_of_its_
         np.testing.assert_allclose(found[:, ~acts], 0.0, atol=1e-12)
 
 
-@pytest.mark.slow
+@pytest.mark.slow(sample=False)
 def test_through_six_bounces_a_derivative_is_right_to_a_hundredth():
     """Or nan, where the steps do not determine it."""
     names = ("clearance", "x", "y", "vx", "vy")
@@ -237,7 +237,7 @@ def settled(values, end):
     ), count
 
 
-@pytest.mark.slow
+@pytest.mark.slow(sample=False)
 def test_a_journal_that_comes_to_rest_on_its_wall_has_the_derivatives_of_its_motion():
     """By all its bounces, and while it swings on the wall: 1.5e-3 in steps of 1 us, a fifth of
     that in steps of 0.2 us. By the restitution, which moves the last and smallest ones most, it may
@@ -297,7 +297,7 @@ def cranked(values, end):
         y[2:] -= (1 + restitution) * (normal @ rate) / (row @ light) * light
 
 
-@pytest.mark.slow
+@pytest.mark.slow(sample=False)
 def test_a_slider_crank_has_the_derivatives_of_its_motion():
     """Through one, two and four impacts; after thirteen of them steps of 0.2 us do not tell."""
     law = jc.contact.Rigid(restitution=0.9)

@@ -135,9 +135,9 @@ def oiled(film, clearance=0.1e-3):
 # By clearance: thinnest film, and how far the orbits are apart, over the clearance. The method
 # leaves out the inertia of the journal's motion in its gap: steps of a quarter change 1e-4, half
 # the clearance divides 0.045 by 20.
+@SLOW
 @pytest.mark.parametrize(
-    ("clearance", "film", "near"),
-    [pytest.param(1e-4, 9.382e-6, 0.05, marks=SLOW), (5e-5, 18.01e-6, 3e-3)],
+    ("clearance", "film", "near"), [(1e-4, 9.382e-6, 0.05), (5e-5, 18.01e-6, 3e-3)]
 )
 def test_the_mobility_method_has_the_thinnest_film_of_the_full_motion(clearance, film, near):
     scene = oiled(jc.film.Reynolds(viscosity=0.1), clearance)
@@ -153,9 +153,10 @@ def test_the_mobility_method_has_the_thinnest_film_of_the_full_motion(clearance,
     assert (quasi.contact("B").normal_force == 0).all()
 
 
+@SLOW
 @pytest.mark.parametrize(
     "integrator",
-    [pytest.param(jc.integrator.FixedStep(2e-5), marks=SLOW), jc.integrator.ImplicitStep(1e-4)],
+    [jc.integrator.FixedStep(2e-5), jc.integrator.ImplicitStep(1e-4)],
     ids=["fixed", "implicit"],
 )
 def test_a_batch_and_derivatives_by_numbers_of_a_film(integrator):

@@ -83,7 +83,7 @@ def test_an_exact_guess_is_met():
     assert exact_guesses("Watt", ("joints",), 8) == (0, 0)
 
 
-@pytest.mark.slow
+@pytest.mark.slow(sample=False)
 def test_exact_guesses_are_met_or_it_is_said():
     """300 in all, of all links or of some; at most one in twenty is said to be doubtful."""
     kinds = ("joints", "bodies", "some joints", "some bodies")

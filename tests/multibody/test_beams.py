@@ -80,7 +80,7 @@ def test_tip_of_a_cantilever_its_stress_and_its_derivative():
     assert slope == pytest.approx(-4 * exact / DIAMETER, rel=1e-3)
 
 
-@pytest.mark.slow
+@pytest.mark.slow(sample=False)
 @pytest.mark.parametrize(("across", "tolerance"), [(False, 1e-3), (True, 3e-3)])
 def test_large_deflection_beside_elliptic_integrals(across, tolerance):
     # Bisshopp & Drucker 1945, Q. Appl. Math. 3, 272: P L^2 / (E I) = 10.

@@ -2,6 +2,7 @@
 what their bearings carry."""
 
 import warnings
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -12,6 +13,7 @@ import jaxclear as jc
 from jaxclear.components.coupling import AbstractBodyCoupling
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.pose import Pose
+from jaxclear.multibody.meshes import Count, Mesh
 from tests.rigs.planetary import PLANET, RING, SUN, planetary_accelerations
 from tests.rigs.planetary import planetary as tied
 
@@ -238,7 +240,7 @@ def test_derivatives_pass_through_gears():
     np.testing.assert_allclose(jax.jvp(end, (RATIO,), (1.0,))[1], exact, rtol=1e-9)
 
 
-@pytest.mark.slow
+@pytest.mark.slow(sample=False)
 def test_derivatives_go_backwards_through_gears_and_screws():
     def end(distance):
         rig = pair(jc.coupling.Gear("A", "B", RATIO, pressure_angle=TEETH), distance)
@@ -357,3 +359,23 @@ def test_wheels_that_no_body_carries_together_are_told():
     aside = jc.Connection(TURN, jc.Marker("ground", (0.01, 0.0)), "a")
     with pytest.warns(UserWarning, match="no body carries together"):
         jc.Mechanism(bodies, arms | {"A": aside}, couplings=gear)
+
+
+@pytest.mark.parametrize("counted", [(True, True), (True, False), (False, True)])
+def test_wheels_that_mesh_have_no_residual_whatever_turns_either_has_made(counted):
+    """Also where a coordinate counts the turns of one wheel only: those of the other follow."""
+    gear = jc.coupling.Gear("A", "B", RATIO)
+
+    def turned(angle, place):
+        x, y = np.cos(angle), np.sin(angle)
+        return Pose(((x, -y, 0.0), (y, x, 0.0), (0.0, 0.0, 1.0)), (place, 0.0, 0.0))
+
+    drawn = turned(0.0, R_A + R_B)
+    counts = tuple(Count(1.0, 0.0, 0, i) if each else None for i, each in enumerate(counted))
+    mesh = Mesh(gear, drawn, counts)
+    for angle in (1.0, 4.0, 12.0, 26.5, -33.0):
+        angles = angle, -angle / RATIO
+        pose = turned(angles[0], 0.0).inverse().after(turned(angles[1], R_A + R_B))
+        within_a_turn = mesh.residuals(pose)[0]
+        found = mesh.counted(within_a_turn, pose, (SimpleNamespace(coordinates=angles),))
+        assert abs(float(found)) < 1e-14

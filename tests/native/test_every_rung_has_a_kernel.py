@@ -3,7 +3,8 @@ installed, with the lowest that is allowed and with the newest.
 
 One primitive without a rule, and a run takes ten times as long without a word: the derivative of
 `stack` became such a one with a new jax. In the quick test kernels are written as text alone,
-neither compiled nor run but for one; the slow one compiles, checks and runs them."""
+neither compiled nor run; the slow one compiles, checks and runs them. With another jax all are
+written as text."""
 
 import os
 import re
@@ -34,13 +35,18 @@ RUNGS = {
     "Moreau-Jean": jc.integrator.MoreauJean(),
     "non-colliding": jc.integrator.NonColliding(),
 }
-QUICK = (
-    *(("planar", rung) for rung in ("fixed", "implicit", "adaptive", "Moreau-Jean")),
-    *(("ball", rung) for rung in ("implicit", "Moreau-Jean")),
-    ("journal_that_wears", "fixed"),
-)
-# Kernels that the quick test compiles, checks and runs.
-CHECKED = (("planar", "fixed"),)
+# That a run in the plane has no kernel is an error in every test.
+QUICK = (("ball", "implicit"), ("ball", "Moreau-Jean"), ("journal_that_wears", "fixed"))
+# Rungs whose kernels differ from those above them in operations that no joint takes part in (how
+# coordinates go on) or that all joints share (how a gap shortens a step), and with which joints.
+VARIANTS = {
+    "on groups": ("planar", "ball"),
+    "adaptive on groups": ("planar", "journal_that_wears"),
+    "fixed, short steps in contact": ("planar", "ball", "guide"),
+}
+CELLS = [(j, r) for j in JOINTS for r in RUNGS if j in VARIANTS.get(r, JOINTS)]
+# Set where these tests run with another jax.
+OTHER_JAX = "JAXCLEAR_TEST_WITH_OTHER_JAX"
 TIMES = jnp.linspace(0.0, 1e-3, 3)
 # What a rung refuses by a sentence asks for no kernel: restitutions that depend on the speed in
 # MoreauJean, worn joints and rubbing balls in NonColliding.
@@ -58,12 +64,7 @@ def refused(rig, integrator):
 
 
 @pytest.mark.parametrize(
-    ("joint", "rung"),
-    [
-        pytest.param(j, r, marks=() if (j, r) in QUICK else pytest.mark.slow)
-        for j in JOINTS
-        for r in RUNGS
-    ],
+    ("joint", "rung"), [(j, r) for j in JOINTS for r in RUNGS] if OTHER_JAX in os.environ else QUICK
 )
 def test_a_kernel_can_be_written(joint, rung, monkeypatch):
     rig, integrator, written = build(joint, USUAL), RUNGS[rung], []
@@ -91,14 +92,8 @@ def test_a_kernel_can_be_written(joint, rung, monkeypatch):
     assert any(program.length == 1 for program in written) or joint != "journal_that_wears"
 
 
-@pytest.mark.parametrize(
-    ("joint", "rung"),
-    [
-        pytest.param(j, r, marks=() if (j, r) in CHECKED else pytest.mark.slow)
-        for j in JOINTS
-        for r in RUNGS
-    ],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize(("joint", "rung"), CELLS)
 def test_the_kernel_passes_its_check_and_runs(joint, rung, checked):
     rig = build(joint, USUAL)
     if refused(rig, RUNGS[rung]):
@@ -112,7 +107,7 @@ def test_the_kernel_passes_its_check_and_runs(joint, rung, checked):
 def test_every_scene_has_a_kernel(name, checked):
     scene = getattr(jc.scenes, name)
     given = {"antenna": {"friction": "regularised"}, "guide": {"friction": "regularised"}}
-    for integrator in RUNGS.values():
+    for integrator in (RUNGS[rung] for rung in RUNGS if rung not in VARIANTS):
         rig = scene(**given.get(name, {}))
         if not refused(rig, integrator):
             found = jc.simulate(rig, 1e-4, save=3, integrator=integrator, throw=False)
@@ -134,7 +129,7 @@ def allowed():
     return [re.search(r">=\s*([\d.]+)", bound)[1], None]
 
 
-@pytest.mark.slow
+@pytest.mark.slow(sample=False)
 @pytest.mark.parametrize("newest", [False, True], ids=["lowest", "newest"])
 def test_with_every_jax_that_is_allowed(newest, tmp_path):
     """Kernels of all joints and each rule by itself, with another jax in front of the path."""
@@ -145,6 +140,7 @@ def test_with_every_jax_that_is_allowed(newest, tmp_path):
         pytest.skip("the package registry cannot be reached")
     environment = os.environ | {
         "PYTHONPATH": os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")]),
+        OTHER_JAX: "1",
     }
     tests = [__file__, os.path.join(os.path.dirname(__file__), "test_rules.py")]
     command = [sys.executable, "-m", "pytest", "-n", "0", "-q", "-k", "written or rule", "-m", ""]

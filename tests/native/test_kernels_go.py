@@ -1,5 +1,6 @@
 """Kernels go with the programs that call them, and a program whose kernel has gone says so."""
 
+import collections
 import ctypes
 import gc
 import os
@@ -27,6 +28,13 @@ def program(number, terms=3):
     return run, run(jnp.ones(3))[1]
 
 
+@pytest.fixture
+def latest(monkeypatch):
+    """So few programs count as the latest, which keep their kernels."""
+    monkeypatch.setattr(kernel, "LATEST", 2)
+    monkeypatch.setattr(kernel, "_LATEST", collections.deque(maxlen=2))
+
+
 def resident():
     """Memory that this process holds [bytes]."""
     gc.collect()
@@ -34,7 +42,7 @@ def resident():
         return int(file.read().split()[1]) * 4096
 
 
-def test_kernels_are_freed_with_their_programs():
+def test_kernels_are_freed_with_their_programs(latest):
     kept, _ = program(0.5)
     gc.collect()
     table, known = dispatch.size(), len(kernel._KERNELS)
@@ -89,7 +97,7 @@ def test_another_kernel_takes_the_place_of_one_that_has_gone(monkeypatch):
     assert dispatch.size() == 2 and list(dispatch.TABLE[2:6]) == [third, 33, second, 22]
 
 
-def test_kernels_of_the_latest_program_all_stay_however_many_they_are():
+def test_kernels_of_the_latest_program_all_stay_however_many_they_are(latest):
     """A derivative of a guide both of whose parts wear has more kernels than were kept, and lost
     some before it had run."""
     before = set(kernel._KERNELS)

@@ -171,7 +171,7 @@ def test_a_linkage_that_folds_the_other_way_is_not_trusted():
     assert wrong == 2
 
 
-@pytest.mark.slow
+@pytest.mark.slow(sample=False)
 @pytest.mark.xfail(
     strict=False,
     reason="a step that comes near a singular position enlarges what loops are open by, and steps "

@@ -78,7 +78,7 @@ def test_lost_motion_at_load_is_told_by_both(two_models):
     assert two_models.answers["lost motion"].high < 4.5
 
 
-@pytest.mark.slow
+@pytest.mark.slow(sample=False)
 def test_the_next_record_lies_where_four_others_say():
     """Friction drifts by 4 % between records: only their differences make an interval of it."""
     found = fit_signals({"linear": [compared(own) for own in MEASURED.values()]})

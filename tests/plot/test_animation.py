@@ -301,7 +301,7 @@ def _corner():
     ]
 
 
-@pytest.mark.slow
+@pytest.mark.slow(sample=False)
 @pytest.mark.parametrize("kind", ["four_bar", "parallel_3rsr", "antenna", "guide"])
 def test_every_kind_of_joint_has_its_inset(kind):
     rig, duration, integrator = {

@@ -115,6 +115,7 @@ def test_what_is_read_of_a_run_that_is_traced_is_a_number_or_a_sentence(within):
     assert all("being traced" in sentence for sentence in refused.values())
 
 
+@pytest.mark.slow
 def test_texts_of_a_run_that_is_differentiated_are_those_of_the_run():
     found = {}
 
@@ -169,7 +170,8 @@ def beyond_reach(rod, **kwargs):
     )
 
 
-@pytest.mark.parametrize("derivative", [jax.jacfwd, pytest.param(jax.grad, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("derivative", [jax.jacfwd, jax.grad])
 def test_a_run_that_ends_early_has_no_derivative_beyond_and_says_why(derivative):
     said = []
 

@@ -8,6 +8,7 @@ doi:10.1137/1.9780898719000, sections 4.4 and 4.9.
 
 from typing import NamedTuple
 
+import equinox as eqx
 import numpy as np
 
 from jaxclear.complementarity.problem import AbstractLinearProblem, as_linear_problem
@@ -24,11 +25,22 @@ class Found(NamedTuple):
     residual: float
 
 
+# One program for each size of a problem, in the place of one for each operation.
+_as_linear_problem = eqx.filter_jit(as_linear_problem)
+
+
+@eqx.filter_jit
+def _solution_and_residual(problem: AbstractLinearProblem, solution: np.ndarray) -> tuple:
+    z, w = problem.from_lcp(solution)
+    return z, w, problem.residual(z, w)
+
+
 def lemke(problem: AbstractLinearProblem) -> Found:
     """The solution of a problem; `ValueError` where the path ends in a ray."""
-    lcp = as_linear_problem(problem)
-    z, w = problem.from_lcp(pivoted(np.array(lcp.matrix), np.array(lcp.offset)))
-    return Found(np.asarray(z), np.asarray(w), float(problem.residual(z, w)))
+    lcp = _as_linear_problem(problem)
+    solution = pivoted(np.array(lcp.matrix), np.array(lcp.offset))
+    z, w, residual = _solution_and_residual(problem, solution)
+    return Found(np.asarray(z), np.asarray(w), float(residual))
 
 
 def pivoted(matrix: np.ndarray, offset: np.ndarray) -> np.ndarray:

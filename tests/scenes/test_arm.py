@@ -57,7 +57,7 @@ def test_torques_along_motions_are_those_of_another_program():
     for told in REFERENCE["cases"]:
         told = {name: np.array(values) for name, values in told.items()}
         own = np.stack([told[name] for name in ("angle", "speed", "acceleration")], 1)
-        rig = bare([jc.drive.Position(Parabola(*numbers)) for numbers in own])
+        rig = bare([jc.drive.Position(Parabola(*numbers)) for numbers in jnp.asarray(own)])
         step = jc.integrator.FixedStep(1e-3)
         run = jc.simulate(rig, 1e-3, save=2, integrator=step, verify=False)
         turns = [np.asarray(run.body(f"link{k}").rotation)[0] for k in range(1, 8)]
@@ -106,6 +106,7 @@ def test_the_way_keeps_to_limits_of_angle_and_speed():
     assert np.abs(speeds).max() < FASTEST
 
 
+@pytest.mark.slow
 def test_servos_follow_the_way_and_come_to_rest_at_its_end():
     run = jc.simulate(arm(), pick_and_place().times[-1], save=136)
     for k, name in enumerate(JOINTS):
@@ -143,7 +144,7 @@ test_play_that_no_scene_can_have_is_refused = refusals(
 )
 
 
-@pytest.mark.slow
+@pytest.mark.slow(sample=False)
 def test_a_reversal_loses_play_and_twice_the_twist():
     way = study.to_and_fro()
     lost = study.lost_motion(study.simulated(arm("play", PLAY, path=way), way), PLAY)
@@ -155,7 +156,7 @@ def test_a_reversal_loses_play_and_twice_the_twist():
     np.testing.assert_allclose(lost["loses [arcmin]"][0] * ARCMIN, first, rtol=2e-2)
 
 
-@pytest.mark.slow
+@pytest.mark.slow(sample=False)
 def test_slopes_by_all_plays_are_those_of_narrower_differences_and_derivatives(held):
     problem = study.tip_problem(study.STANDARD, held[0.0])
     error = jax.jit(jax.vmap(lambda plays: problem.evaluate(plays).responses["tip error"]))
@@ -170,7 +171,7 @@ def test_slopes_by_all_plays_are_those_of_narrower_differences_and_derivatives(h
     np.testing.assert_allclose(1e3 * ARCMIN * derived(nominal), narrow, rtol=0.02)
 
 
-@pytest.mark.slow
+@pytest.mark.slow(sample=False)
 def test_flanks_of_a_reducer_wear_by_archards_law():
     """k F s / H of the torque that the teeth carry along the way of the joint."""
     law = jc.wear.Archard(wear_coefficient=1e-4, hardness=2e9)

@@ -127,7 +127,7 @@ test_bad_input_is_refused_by_name = refusals(
 )
 
 
-@pytest.mark.slow
+@pytest.mark.slow(sample=False)
 def test_reactions_do_not_depend_on_where_the_loops_are_closed(unlike):
     """The same mechanism with another ball in the tree and the other two closing loops."""
     rig = unlike.mechanism

@@ -8,6 +8,7 @@ import pytest
 
 PROGRAM = """
 import multiprocessing, sys, warnings
+import jax
 import jaxclear as jc
 
 def run(_):
@@ -21,7 +22,7 @@ def run(_):
 if __name__ == "__main__":
     warnings.simplefilter("ignore")
     if sys.argv[2] == "after":
-        run(0)
+        jax.numpy.ones(3).block_until_ready()
     with multiprocessing.get_context(sys.argv[1]).Pool(1) as pool:
         print(pool.map(run, [0])[0])
 """

@@ -118,7 +118,7 @@ def worn(rung, mass):
     return run.states, run.worn
 
 
-@pytest.mark.slow
+@pytest.mark.slow(sample=False)
 @pytest.mark.parametrize("rung", ["fixed", "implicit", "Moreau-Jean"])
 def test_surfaces_wear_within_the_one_kernel(rung, monkeypatch):
     """Its numbers, their slopes, and both of a batch are those of a run that XLA goes through from

@@ -1,5 +1,6 @@
 """What is said before a run: float64 switched off, steps that cannot be as long as asked."""
 
+import functools
 import warnings
 
 import jax
@@ -18,7 +19,16 @@ def problem(**options):
     return jc.Problem(RIG, jc.response.MeanContactForce("B"), CLEARANCE, **options)
 
 
-ASKED, RUN = problem(), jc.simulate(RIG, 2e-3, save=3, integrator=STEPS)
+@functools.cache
+def existing_problem():
+    return problem()
+
+
+@functools.cache
+def existing_run():
+    return jc.simulate(RIG, 2e-3, save=3, integrator=STEPS)
+
+
 LCP = jc.complementarity.LCP(np.eye(2), -np.ones(2))
 
 
@@ -28,16 +38,18 @@ LCP = jc.complementarity.LCP(np.eye(2), -np.ones(2))
         lambda: jc.simulate(RIG, 2e-3, save=3, integrator=STEPS),
         lambda: jc.assemble(RIG),
         problem,
-        lambda: ASKED.evaluate(ASKED.nominal()),
-        lambda: jc.monte_carlo(ASKED, 4),
-        lambda: jc.sensitivity(ASKED, sample=4),
-        lambda: jc.advise(ASKED, 0.1),
-        lambda: RUN.contact("B"),
-        lambda: RUN.body("slider"),
+        lambda: existing_problem().evaluate(existing_problem().nominal()),
+        lambda: jc.monte_carlo(existing_problem(), 4),
+        lambda: jc.sensitivity(existing_problem(), sample=4),
+        lambda: jc.advise(existing_problem(), 0.1),
+        lambda: existing_run().contact("B"),
+        lambda: existing_run().body("slider"),
         lambda: jc.complementarity.InteriorPoint().solve(LCP),
     ],
 )
 def test_single_precision_is_refused_at_every_entry_that_computes(entry):
+    # What was computed before.
+    existing_problem(), existing_run()
     jax.config.update("jax_enable_x64", False)
     try:
         with pytest.raises(RuntimeError, match="float64, and jax_enable_x64 has been switched off"):

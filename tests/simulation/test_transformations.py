@@ -1,5 +1,5 @@
-"""What JAX makes of a run is right or says why: every cell of the book's table on derivatives, by
-both entry points, against differences."""
+"""What JAX makes of a run is right or says why: every cell of the book's table on derivatives,
+against differences; of each row derivatives of both modes by both entry points."""
 
 import functools
 import re
@@ -43,11 +43,12 @@ def rows():
 
 
 def cells():
-    for joints, integrator, told in rows():
-        for name, word in told.items():
-            for entry in ENTRIES:
-                if not (entry == "simulate" and DISCRETE in joints):
-                    yield joints, integrator, name, word, entry
+    """Each cell by one entry point, in turn: a row has `jvp` by one and `jacfwd` by the other,
+    `grad` and `jacrev` likewise, and columns change entry from row to row."""
+    for i, (joints, integrator, words) in enumerate(rows()):
+        for j, (name, word) in enumerate(words.items()):
+            entry = "evaluate" if DISCRETE in joints else ENTRIES[(i + j) % 2]
+            yield joints, integrator, name, word, entry
 
 
 def integrator_of(text: str, step: float, duration: float) -> AbstractIntegrator:
@@ -101,6 +102,16 @@ def differences(function, x, share):
     return (both[:2] - both[2:]) / (2 * share * x).reshape(2, *[1] * (both.ndim - 1))
 
 
+@functools.cache
+def reference(joints: str, text: str, second: bool, share: float):
+    """First or second derivatives by differences."""
+    problem_of_row = problem(joints, text)
+    function = answer_of(problem_of_row, "evaluate", True)
+    if second:
+        function = jax.jacfwd(function)
+    return jax.jit(lambda v: differences(function, v, share))(problem_of_row.nominal())
+
+
 def assert_cell(joints, text, name, word, entry):
     asked = problem(joints, text)
     x = asked.nominal()
@@ -124,13 +135,10 @@ def assert_cell(joints, text, name, word, entry):
     # Of equal steps through contacts those of the motion, which `Adaptive` follows.
     equal = text.startswith(("FixedStep", "MoreauJean", "ImplicitStep"))
     steps = word == "right" and joints.startswith("opening") and equal
-    first = answer_of(problem(joints, "Adaptive()") if steps else asked, "evaluate", True)
-    if name == "hessian":
-        first = jax.jacfwd(first)
     # Slopes of a discrete run bend wherever a touch moves into another step: over 1e-7 of a
     # variable one still does, in steps that contacts halve; below 1e-8 rounding takes digits.
     share = 3e-8 if name == "hessian" and word == "discrete" else 1e-5
-    wanted = jax.jit(lambda v: differences(first, v, share))(x)
+    wanted = reference(joints, "Adaptive()" if steps else text, name == "hessian", share)
     close, small = 2e-3 if steps else 1e-5, 1e-5 * np.abs(wanted).max()
     if steps and text.startswith("MoreauJean"):
         # A slope so small beside the other is off by a third of itself, and refused; of `simulate`

@@ -119,7 +119,7 @@ MAPS = {
 }
 
 
-@pytest.mark.parametrize("kind", MAPS)
+@pytest.mark.parametrize("kind", [pytest.param("ball", marks=pytest.mark.slow), "wall", "guide"])
 def test_cells_twice_as_wide_are_those_of_a_map_with_half_as_many(kind):
     fine, coarse = MAPS[kind](2, coarseness=2.0), MAPS[kind](1)
     event, volume = jnp.asarray(PLACES[kind])[None], jnp.asarray([1e-12])
@@ -205,7 +205,7 @@ def rubbing(cells):
     return jc.simulate(rig, 4 * np.pi / 60, verify=True)
 
 
-@pytest.mark.slow
+@pytest.mark.slow(sample=False)
 def test_the_stated_error_of_a_depth_holds_its_cells():
     """Steps alone would say 4e-4."""
     deepest = jc.response.PeakWornDepth("B")

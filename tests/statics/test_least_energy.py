@@ -271,6 +271,7 @@ def test_a_derivative_is_that_of_the_closed_form():
         np.testing.assert_allclose(slope, wanted, rtol=1e-7)
 
 
+@pytest.mark.slow
 def test_samples_near_the_nominal_mechanism_rest_where_a_search_finds_and_need_none(monkeypatch):
     """Newton's method on the contacts that carry the nominal mechanism, also under reversed loads;
     a whole search took forty turns."""
@@ -322,7 +323,7 @@ def test_springs_and_journals_rest_where_scipy_finds_the_least_energy(shut):
     np.testing.assert_allclose(lies, PLAY, rtol=1e-9)
 
 
-@pytest.mark.slow  # compiles three programs
+@pytest.mark.slow(sample=False)  # compiles three programs
 def test_derivatives_are_those_of_differences(shut):
     ask = jax.jit(lambda v: jnp.stack(list(shut.evaluate(v).responses.values())))
     at = shut.nominal()

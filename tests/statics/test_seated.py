@@ -86,7 +86,7 @@ def test_a_mechanism_without_play_is_seated_as_it_starts():
     assert jc.resting_state(jc.Mechanism(rig.bodies, ideal, rig.loads)).motion is None
 
 
-@pytest.mark.slow
+@pytest.mark.slow(sample=False)
 def test_journals_that_their_loops_hold_back_rest_together():
     """The reaction alone would tilt the journal of the spatial four-bar by twice its play over its
     length, which the planes of its links do not allow: a collar and both ends share the load."""

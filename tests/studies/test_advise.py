@@ -159,7 +159,7 @@ def test_what_a_model_leaves_out_is_told_and_never_recommended():
     assert found.why_not()["MoreauJean"].startswith("another model of contact")
 
 
-@pytest.mark.slow
+@pytest.mark.slow(sample=False)
 def test_chaos_is_said():
     response = {
         "force": jc.response.MeanContactForce("B"),

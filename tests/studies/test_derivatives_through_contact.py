@@ -121,7 +121,7 @@ def test_where_nothing_opens_derivatives_pass(integrator):
     np.testing.assert_allclose(slope, 1e-3 * np.sin(omega) * omega / 2, rtol=1e-3)
 
 
-@pytest.mark.slow
+@pytest.mark.slow(sample=False)
 @pytest.mark.parametrize("name", ["explicit", "implicit", "under error control"])
 def test_pathwise_knows_that_a_longer_fall_strikes_faster(name):
     """-1.212 by differences of tight runs. Impact speeds are taken at the touch, so the tangent of

@@ -127,7 +127,7 @@ def test_a_mechanism_at_a_position_meets_its_closed_form(crank):
     np.testing.assert_allclose(list(found.tolerances.values()), best.tolerances, rtol=1e-3)
 
 
-@pytest.mark.slow
+@pytest.mark.slow(sample=False)
 def test_sixty_tolerances_are_left_to_optax():
     count = 60
     slopes = np.where(np.arange(count) % 2, 1.0, -1.0) * (1 + np.arange(count) % 5)

@@ -35,7 +35,7 @@ def asked():
     return jc.LifeProblem(one_turn(wearing_ring(slope=0.0)), response)
 
 
-@pytest.mark.slow
+@pytest.mark.slow(sample=False)
 def test_a_life_that_never_reaches_its_limit_is_infinite_and_loses_no_other(asked):
     """A load that falls to nothing at half the depth. What has no machine has failed."""
     both = {"life": jc.LifeUntil("depth", LIMIT), "near": jc.LifeUntil("depth", 0.1 * LIMIT)}
@@ -64,7 +64,7 @@ def followed():
     return jc.LifeProblem(one_turn(wearing_ring(slope=0.0)), wanted, cycles=nominal)
 
 
-@pytest.mark.slow
+@pytest.mark.slow(sample=False)
 def test_lives_longer_than_they_are_followed_count_on_their_side_and_have_no_mean(followed):
     """Each is told apart by the closed form; a limit beyond what is followed is refused."""
     nominal = followed.cycles
@@ -117,7 +117,7 @@ def test_values_that_no_machine_has_are_failed_lives_as_they_are_failed_runs(ask
         end.detail(np.array([-1e9, FORCE]))
 
 
-@pytest.mark.slow
+@pytest.mark.slow(sample=False)
 def test_values_of_which_no_machine_can_be_put_together_are_told_so():
     """A coupler that is too short to reach the follower, as it is of runs."""
     where = lambda rig: rig.connections["B"].parent.at[0]
@@ -188,7 +188,7 @@ test_what_cannot_be_asked_of_lives_is_refused = refusals(
 )
 
 
-@pytest.mark.slow
+@pytest.mark.slow(sample=False)
 def test_a_design_for_life_allots_tolerances_as_the_closed_form():
     """Reciprocal costs of the tolerances x of hardness and y of load, as shares: the worst machine
     lives (1 - x) / (1 + y) of the nominal life. Verified by runs, sure of the life's own error."""
@@ -213,7 +213,7 @@ def test_a_design_for_life_allots_tolerances_as_the_closed_form():
     assert found.unit(0) == "cycles" and "saves" in found.sentence()
 
 
-@pytest.mark.slow
+@pytest.mark.slow(sample=False)
 def test_derivatives_of_the_mean_life_are_those_of_the_closed_form(asked):
     found = jc.sensitivity(asked, sample=32, difference_samples=8)
     hardness = found.derivatives["life", "hardness"]
@@ -232,7 +232,7 @@ def test_slopes_and_campaigns_of_lives_are_refused_with_what_serves(asked, tmp_p
     assert not any(tmp_path.iterdir())
 
 
-@pytest.mark.slow
+@pytest.mark.slow(sample=False)
 def test_a_campaign_of_wearing_runs_is_the_plain_study_bit_for_bit(tmp_path):
     """Its checks too; read again, it is the same."""
     turn = one_turn(wearing_ring(slope=0.0))

@@ -169,7 +169,7 @@ def test_what_cannot_be_asked_gets_a_sentence(accurate, rough, sentence):
         jc.multi_fidelity(accurate, **{"cheaper": rough} | REFUSED[sentence])
 
 
-@pytest.mark.slow
+@pytest.mark.slow(sample=False)
 @pytest.mark.parametrize("accuracy", [None, {"y": 0.05}])
 def test_intervals_hold_in_200_repetitions(accurate, rough, accuracy):
     """95 % and three standard deviations of 200 trials."""

@@ -204,7 +204,7 @@ def test_sobol_indices(problem, share):
     assert told(found.warnings, share, found.runs) and str(found).endswith(found.warnings[0])
 
 
-@pytest.mark.slow
+@pytest.mark.slow(sample=False)
 def test_shapley_effects_surface_and_what_corrects_it(problem, share):
     found = jc.shapley_effects(problem, 64)
     assert told(found.warnings, share, found.runs) and str(found).endswith(found.warnings[0])
@@ -216,7 +216,7 @@ def test_shapley_effects_surface_and_what_corrects_it(problem, share):
     assert told(fresh.warnings, share, fresh.runs) and fresh.warnings[0] in str(fresh)
 
 
-@pytest.mark.slow
+@pytest.mark.slow(sample=False)
 def test_the_worst_case_tells_whose_run_warns(problem):
     found = jc.worst_case(problem, samples=32)
     drift = lambda values: problem.detail(np.asarray(values)).warnings
@@ -226,7 +226,7 @@ def test_the_worst_case_tells_whose_run_warns(problem):
     assert found.warnings and str(found).endswith(found.warnings[-1])
 
 
-@pytest.mark.slow
+@pytest.mark.slow(sample=False)
 def test_reliability(problem, share):
     middle = float(np.median(jc.monte_carlo(problem, 64).responses["slider"]))
     limit = jc.limit_state.Above("slider", middle)

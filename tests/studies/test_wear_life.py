@@ -86,7 +86,7 @@ def test_between_stages_and_until_a_limit(lived):
     assert np.isinf(never.cycles) and "does not reach 1; at its last rate" in never.sentence
 
 
-@pytest.mark.slow
+@pytest.mark.slow(sample=False)
 def test_wear_that_hangs_on_the_saving_times_is_told(lived):
     """An update every four cells of the wall makes waves of 3 % of the depth (of a quarter where
     arcs were widened by the contact): told by cycles whose saving intervals are cells, true of
