@@ -381,7 +381,7 @@ def openings(now: Instant) -> Float[Array, " loops"]:
     openings, system = [], now.model.system
     for closure in system.closures:
         part = shortest_part(system, closure)
-        residuals = constraints.residuals(system, now.motions, closure)
+        residuals = constraints.residuals(now.motions, closure)
         values = zip(closure.rows, residuals, strict=True)
         shares = [abs(x) / part if loops.is_length(row) else abs(x) for row, x in values]
         openings.append(jnp.max(sp.stack(shares), initial=0.0))

@@ -4,6 +4,7 @@ The whole path from varied numbers to responses is one pure function, `evaluate`
 samples and differentiates.
 """
 
+import functools
 import math
 from collections.abc import Callable
 from typing import Any
@@ -18,7 +19,7 @@ from jaxclear.errors.observables import GAPS
 from jaxclear.errors.verification import refine_times, replica
 from jaxclear.ground.compiling import by_form
 from jaxclear.ground.printing import part_in_words
-from jaxclear.ground.quantity import on_device, on_host
+from jaxclear.ground.quantity import on_device, on_host, with_fields
 from jaxclear.integrators import AbstractIntegrator, FixedStep, MoreauJean, Outcome
 from jaxclear.integrators.base import PART_OF, STUDIES, Promise
 from jaxclear.integrators.checks import Checks
@@ -259,8 +260,8 @@ class RunExperiment(AbstractExperiment):
         how = replica(counting, self._times(), share)
         if how is None:
             return None
-        places = lambda e: (e.integrator, e.updates)
-        experiment = eqx.tree_at(places, self, (how.integrator, on_device(how.updates)))
+        updates = on_device(how.updates)
+        experiment = with_fields(self, integrator=how.integrator, updates=updates)
         if how.every == 1:
             return experiment
         responses = {name: Thinned(f, how.every) for name, f in self.response.items()}
@@ -279,7 +280,7 @@ class RunExperiment(AbstractExperiment):
             near = max(NEAR_A_CORE // max(memory, 1), LEAST_CHUNK)
             batch = min(batch, 1 << (near.bit_length() - 1))
         # Runs of no length.
-        idle = eqx.tree_at(lambda run: run.duration, self, on_device(0.0))
+        idle = with_fields(self, duration=on_device(0.0))
         return Cost(memory, batch, idle=idle)
 
     def describe(self):
@@ -363,7 +364,9 @@ def _answers(experiment: RunExperiment, setting: Setting, discrete: bool) -> Sam
     has_pathwise = discrete and integrator.pathwise
     modelled = integrator.formulation.modelled(experiment.mechanism)
     if not has_pathwise and is_compared(modelled, integrator):
-        evaluate = compared(_answer_setting, _finer, _guard, _steps, order_of(modelled, integrator))
+        peaks = {k for k, one in experiment.response.items() if needs_of(one) == "peak forces"}
+        guard = functools.partial(_guard, peaks)
+        evaluate = compared(_answer_setting, _finer, guard, _steps, order_of(modelled, integrator))
         return backwards(integrator)(evaluate, experiment, setting)
     started = lambda experiment, setting: experiment.started(setting, has_pathwise)
     mechanism, start, run = backwards(integrator)(started, experiment, setting)
@@ -398,12 +401,21 @@ def _steps(experiment: RunExperiment, _: Any) -> tuple[Any, Any]:
     return experiment.integrator.requested_step(), experiment.shares * experiment.duration
 
 
-def _guard(result: SampleResult, tangents: SampleResult, ratios: Array, least: Any) -> SampleResult:
-    """Derivatives of what is answered; those of responses are nan where steps decide them."""
-    responses = {
-        name: refuse_steps(tangent, ratios, abs(tangent[0]), least * abs(result.responses[name]))
-        for name, tangent in tangents.responses.items()
-    }
+def _guard(
+    peaks: set[str],
+    result: SampleResult,
+    tangents: SampleResult,
+    ratios: Array,
+    least: Any,
+    shares: tuple,
+) -> SampleResult:
+    """Derivatives of what is answered; those of responses are nan where steps decide them.
+    `peaks`: names of responses that lie between steps."""
+    responses = {}
+    for name, tangent in tangents.responses.items():
+        share = max(shares) if name in peaks else shares[0]
+        smallest = share * least * abs(result.responses[name])
+        responses[name] = refuse_steps(tangent, ratios, abs(tangent[0]), smallest)
     moves = jax.tree.map(lambda each: each[0], tangents)
     return SampleResult(responses, moves.outcome, moves.ended, moves.checks)
 
