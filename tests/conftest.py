@@ -97,9 +97,22 @@ def keep_settings():
     compilation_cache.reset_cache()
 
 
-@pytest.fixture(autouse=True)
-def without_replicas(request, monkeypatch):
+# Steps up to which users' runs have replicas.
+USERS_MOST_STEPS = verification.MOST_STEPS
+
+
+@pytest.fixture(autouse=True, scope="module")
+def without_replicas(request):
     """Runs have replicas where a test asks for them (`verify=True`) or is marked `verified`: the
-    mechanics of most tests is that of single runs."""
-    if request.node.get_closest_marker("verified") is None:
-        monkeypatch.setattr(verification, "MOST_STEPS", -1)
+    mechanics of most tests is that of single runs. Fixtures of a file as its tests."""
+    with pytest.MonkeyPatch.context() as patch:
+        if request.node.get_closest_marker("verified") is None:
+            patch.setattr(verification, "MOST_STEPS", -1)
+        yield
+
+
+@pytest.fixture(autouse=True)
+def with_replicas(request, monkeypatch):
+    """Those of a test that is marked by itself."""
+    if request.node.get_closest_marker("verified") is not None:
+        monkeypatch.setattr(verification, "MOST_STEPS", USERS_MOST_STEPS)

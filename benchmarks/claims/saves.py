@@ -66,7 +66,7 @@ STEP = 2e-5
 def program(scene: str, integrator: Any, saves: int, batch: int) -> Any:
     """The compiled run, from consistent coordinates to all of its numbers, and what it is given."""
     rig = integrator.formulation.modelled(SCENES[scene]())
-    rig, start, past, _ = beginning(rig, integrator.formulation, State())
+    rig, start, past = beginning(rig, integrator.formulation, State())[:3]
     times = jnp.linspace(0.0, (OFTEN - 1) * STEPS * STEP, saves)
     arrays, rest = eqx.partition((rig, integrator, past), eqx.is_array)
 

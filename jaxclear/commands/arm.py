@@ -45,6 +45,8 @@ STANDARD, REDUCED = 3 * ARCMIN, 1 * ARCMIN
 # So far a play scatters about what it should be, as a share of it; assumed.
 SCATTER = 0.1
 BOUGHT = 3
+# Runs of the slopes, the choices and the sample come in as many, so that one program serves them.
+CHUNK = 64
 # Steps that resolve the last link on its flank; saving times are those of the way.
 STEP = 1e-4
 # Each rest's end [s], and what is done there.
@@ -154,8 +156,9 @@ def slopes(problem: jc.Problem) -> pandas.DataFrame:
     a play in one batch, and its share of the error: slope times play over the sum."""
     nominal = np.asarray(problem.nominal())
     moved = np.diag(SCATTER * nominal)
-    runs = evaluate_all(problem, jnp.asarray(np.concatenate([nominal + moved, nominal - moved])))
-    more, less = np.split(np.asarray(runs.responses["tip error"]), 2)
+    values = np.concatenate([nominal + moved, nominal - moved])
+    runs = evaluate_all(problem, jnp.asarray(np.resize(values, (CHUNK, len(nominal)))))
+    more, less = np.split(np.asarray(runs.responses["tip error"])[: len(values)], 2)
     slope = (more - less) / (2 * SCATTER * nominal)
     parts = slope * nominal
     return as_table(
@@ -275,7 +278,7 @@ def choices_figure(table: pandas.DataFrame, chosen: str) -> Figure:
     return figure
 
 
-def study(folder: Path, samples: int = 128, show: bool = True) -> None:
+def study(folder: Path, samples: int = CHUNK, show: bool = True) -> None:
     """Runs the study of the arm and writes its tables and figures.
 
     Args:

@@ -410,6 +410,9 @@ class JointTorque(AbstractCoordinateLoad):
     def reads_position(self):
         return False
 
+    def springs_back(self):
+        return False
+
 
 class RotorInertia(AbstractCoordinateLoad):
     """Inertia of what turns with the coordinate of a joint and with nothing else: a motor's rotor

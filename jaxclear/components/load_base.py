@@ -21,7 +21,8 @@ class AbstractLoad(AbstractQuantified):
     switches: ClassVar[bool] = True
 
     def springs_back(self) -> bool:
-        """Whether what it acts on may swing by it, as by a spring; it may unless overridden."""
+        """Whether it stays as it is where loads are reversed, as a spring does and friction; it
+        does unless overridden."""
         return True
 
 
@@ -144,9 +145,6 @@ class AbstractStateLoad(AbstractLoad):
         """Whether it depends on the coordinates, not only on their speeds; it does unless
         overridden."""
         return True
-
-    def springs_back(self) -> bool:
-        return self.reads_position()
 
     def inertia_along(self) -> Scalar | None:
         """Inertia [kg m^2] that moves with its only coordinate and with nothing else; None unless

@@ -125,6 +125,7 @@ class Difference(NamedTuple):
 
 
 def _observe_run(run: Trajectory) -> Observables:
+    """What is compared of a run and of its companions."""
     history, model = run.history, run.history.model()
     system, duration = model.system, run.time[-1] - run.time[0]
 

@@ -43,7 +43,7 @@ from jaxclear.files.forms import (
 from jaxclear.files.numeric_tables import from_scipy, table_of, time_table
 from jaxclear.files.text import Misread, Node, misread, plain_text
 from jaxclear.ground.quantity import members_of_union
-from jaxclear.ground.wording import described, listed, public_name, unknown
+from jaxclear.ground.wording import described, is_offered, listed, public_name, unknown
 from jaxclear.integrators.adaptive import Adaptive
 from jaxclear.laws import contact, material
 from jaxclear.laws.contact import AbstractNormalLaw
@@ -306,11 +306,14 @@ ALONE: Mapping[Any, str] = MappingProxyType({Marker: "body"})
 
 def final_classes(families: tuple[type, ...]) -> dict[str, type]:
     """Final classes of some families, by short name, in the order of their definition. Of one name
-    the package's class counts, and of a user's classes the last one."""
+    the package's class counts, and of a user's classes the last one. Of the package's classes
+    users name those that it offers, and functions of time, which scenes have."""
     kinds: dict[str, type] = {}
     for family in families:
         for kind in (family, *_iterate_subclasses(family)):
             named = not kind.__name__.startswith(("Abstract", "_")) and _is_final(kind)
+            offered = kind is family or issubclass(kind, AbstractFunctionOfTime)
+            named = named and (offered or not _is_ours(kind) or is_offered(kind))
             if named and not _is_ours(kinds.get(kind.__name__)):
                 kinds[kind.__name__] = kind
     return kinds

@@ -239,7 +239,7 @@ class RigidContact(AbstractFormulation):
         after += [x + change for x, change in zip(entries[len(after) :], passive, strict=True)]
         flat = [part for row in impact.by_contact for part in row]
         flat += [h * x for x in (*rubbed.friction, *rubbed.loads)]
-        residual = jnp.maximum(handed[-1], impact.residual)
+        residual = jnp.maximum(handed[-1], jnp.maximum(impact.residual, end.residual))
         ahead = _with_springs(contacts, delassus, impact, h)
         return sp.stack(after), sp.stack([*ahead, *flat, residual])
 
@@ -273,8 +273,12 @@ def _with_springs(contacts: list, delassus: DelassusOperator, impact: Percussion
     return result
 
 
+class FrictionUnknown(ValueError):
+    """A friction law names no Coulomb's law that it stands for."""
+
+
 def check_friction(mechanism: Mechanism, integrator: str) -> None:
-    """Raises `ValueError` for friction that does not say which coefficients it regularises."""
+    """Raises `FrictionUnknown` for friction that does not say which coefficients it regularises."""
     laws = [
         (name, law.friction)
         for name in mechanism.topology.clearances
@@ -283,9 +287,10 @@ def check_friction(mechanism: Mechanism, integrator: str) -> None:
     laws += [(name, joint.friction) for name, joint in rubbing_in(mechanism.connections).items()]
     for name, law in laws:
         if law is not None and law.coulomb() is None:
-            raise ValueError(
+            raise FrictionUnknown(
                 f'joint "{name}" has friction {type(law).__name__}, of which {integrator} does not '
-                "know the coefficients; give friction.Coulomb(mu_kinetic=..., mu_static=...)."
+                "know the coefficients; give friction.Coulomb(mu_kinetic=..., mu_static=...), or "
+                f"return that from {type(law).__name__}.coulomb."
             )
 
 

@@ -312,12 +312,14 @@ def _stops_beyond(
 
 class Projected(NamedTuple):
     """After projection: coordinates, by how much they were moved (in terms of speeds), energy that
-    this put in [J].
+    this put in [J], and what its search missed, relative to the
+    largest gap or overlap [1].
     """
 
     coordinates: list
     moved: list
     energy: Any
+    residual: Any = 0.0
 
 
 def project(
@@ -367,10 +369,10 @@ def project(
         jnp.stack([h * (most + jnp.abs(u)) - depth for most, u, depth in required]),
         jnp.zeros(len(contacts)),
     )
-    shifts = settings.solver().iterate(problem).z
+    shifts, residual, _ = settings.solver().iterate(problem)
     shifts = with_derivatives(lambda shifts: laws_missed(problem, shifts), shifts)
     if settings.striking is not None:
         shifts = jnp.where(settings.striking, jax.lax.stop_gradient(shifts), shifts)
     moved, _ = normals.under([shifts[i] for i in range(len(contacts))])
     energy = sp.neg(sp.dot(middle.free_motion.right, moved))
-    return Projected(drift(model.system, q, q, moved, 1.0), moved, energy)
+    return Projected(drift(model.system, q, q, moved, 1.0), moved, energy, residual)

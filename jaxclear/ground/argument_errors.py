@@ -65,10 +65,24 @@ class AnsweringMeta(PublicMeta):
         try:
             return ModuleMeta.__call__(cls, *args, **kwargs)
         except TypeError:
-            sentence = _describe_misfit(cls, args, kwargs)
+            sentence = _describe_incomplete(cls) or _describe_misfit(cls, args, kwargs)
             if sentence:
                 raise TypeError(sentence) from None
             raise
+
+
+def _describe_incomplete(cls: Any) -> str:
+    """What a class of a user leaves undefined of the family that it derives from; "" where nothing
+    is."""
+    kinds = ("__abstractmethods__", "__abstractvars__", "__abstractclassvars__")
+    missing = {name for kind in kinds for name in getattr(cls, kind, ())}
+    if not missing:
+        return ""
+    base = next(kind for kind in cls.__mro__[1:] if kind.__name__.startswith("Abstract"))
+    return (
+        f"{cls.__name__} leaves {listed(sorted(missing))} of {public_name(base)} undefined: define "
+        f"them, or derive it from a base that does (help({public_name(base)}))."
+    )
 
 
 def _describe_fields(kind: Any) -> None:

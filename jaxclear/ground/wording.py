@@ -3,6 +3,7 @@ meant.
 """
 
 import difflib
+import functools
 import sys
 from collections.abc import Iterable
 from types import ModuleType
@@ -88,6 +89,12 @@ def public_name(kind: Any) -> str:
     own name where it is not of this package.
     """
     return _find_path_in_package(kind) or kind.__qualname__
+
+
+@functools.cache
+def is_offered(kind: Any) -> bool:
+    """Whether users can type the path to one of the package's classes."""
+    return bool(_find_path_in_package(kind))
 
 
 def as_typed(path: str) -> str:

@@ -49,7 +49,11 @@ class Outcome(AbstractOutcome):
         "from their solution. Allow more of them (max_sweeps); joints that lock themselves "
         "may have no solution there.",
     )
-    UNASSEMBLED = 6, "The mechanism cannot be assembled."
+    UNASSEMBLED = (
+        6,
+        "The mechanism cannot be assembled: no start was found that closes its loops and is what "
+        "start= and speeds= give.",
+    )
     OUT_OF_RANGE = (
         7,
         "A number of the mechanism lies outside its range (a negative clearance, say).",

@@ -141,7 +141,7 @@ def _is_nearest(start: Start, far: float) -> bool:
     sizes = np.linalg.svd(rows, compute_uv=False)
     smallest = sizes[_rank_of(sizes) - 1]
     bound = np.linalg.norm(rows) * np.sqrt(rows.shape[1])
-    return far <= 2.0 * smallest / bound / (1.0 + ABOUT)
+    return bool(bound > 0 and far <= 2.0 * smallest / bound / (1.0 + ABOUT))
 
 
 def _rank_of(sizes: np.ndarray) -> int:

@@ -30,7 +30,7 @@ from jaxclear.ground.quantity import (
 )
 from jaxclear.ground.wording import described
 from jaxclear.multibody.system import films_in, wearing_in
-from jaxclear.multibody.topology import coordinate_units, turns
+from jaxclear.multibody.topology import all_planar, coordinate_units, turns
 from jaxclear.results import histories
 from jaxclear.results.pointing_error import checked_through, checked_tip, tip_errors
 from jaxclear.results.state_history import StateHistory
@@ -299,7 +299,9 @@ class PositionError(AbstractResponse):
 class PointingAngle(AbstractResponse):
     """Angle between the boresight of a tip and that of the same chain with ideal joints [rad].
 
-    The boresight is the z axis of the tip. The ideal chain has the joint coordinates of the run.
+    The boresight is the z axis of the tip: of a link along x it is that of a
+    `Marker(body, place, axis="x")`. The ideal chain has the joint coordinates of the run, so in a
+    planar mechanism, whose journals do not tilt, there is no such angle.
     `jaxclear.pointing_error` shows which joints cause the angle.
 
     Args:
@@ -309,6 +311,9 @@ class PointingAngle(AbstractResponse):
             several chains.
         peak: False (default): root mean square over the saving times; True: the largest value.
         unit: unit of the number, "rad".
+
+    Raises:
+        ValueError: if no clearance of a planar mechanism can turn the boresight.
     """
 
     tip: Marker = eqx.field(converter=checked_tip)
@@ -321,8 +326,26 @@ class PointingAngle(AbstractResponse):
         return "forces"
 
     def __call__(self, run):
-        angle = tip_errors(run, self.tip, self.base, self.through)[2].pointing_angle
+        links, _, errors = tip_errors(run, self.tip, self.base, self.through)
+        loose = [joint.name for joint in links.joints if not joint.ideal]
+        _check_boresight(run.mechanism, self.tip, loose)
+        angle = errors.pointing_angle
         return jnp.max(angle) if self.peak else safe_sqrt(jnp.mean(angle * angle))
+
+
+def _check_boresight(mechanism: Any, tip: Marker, loose: list[str]) -> None:
+    """Raises `ValueError` where none of the `loose` joints of a planar chain can turn the tip's
+    boresight: the angle would be 0 whatever their clearances."""
+    if not loose or not all_planar(mechanism.bodies):
+        return
+    turning = any(coordinate_unit(mechanism, name, 0) == "m" for name in loose)
+    if not turning or tip.named_axis in ("z", "-z"):
+        raise ValueError(
+            f'response.PointingAngle of "{tip.body}" is 0 whatever the clearances: the mechanism '
+            "is planar, where only a guide turns a boresight, and one in the plane. Read the tip's "
+            "place by response.PositionError, an angle by response.LargestError or "
+            "response.FromFunction, or describe the mechanism in space."
+        )
 
 
 class LargestDeflection(AbstractResponse):
@@ -432,6 +455,13 @@ class LostMotion(AbstractResponse):
         return "motion"
 
     def __call__(self, run):
+        if isinstance(run, Trajectory):
+            raise TypeError(
+                f'response.LostMotion("{self.joint}") reads positions under loads and under '
+                "reversed loads, not a run: give it jaxclear.positions(mechanism, ..., "
+                "reverse_loads=True), or ask a jaxclear.PositionProblem. Of a run, compare "
+                "run.coordinate(...) forwards and back."
+            )
         back = run.reversed.coordinate(self.joint)
         return jnp.max(jnp.abs(run.coordinate(self.joint) - back))
 

@@ -1,6 +1,6 @@
 """Where a run begins, and what it takes over from one before."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -27,14 +27,15 @@ class Past(eqx.Module):
 
 
 class Beginning(NamedTuple):
-    """A mechanism that knows its redundant rows, its consistent start, what is taken over, and a
+    """A mechanism that knows its redundant rows, its consistent start, what is taken over, a
     sentence where another way to assemble is about as near to what is guessed, or where it begins
-    beyond a stop."""
+    beyond a stop, and whether the start is sound where only a traced program knows."""
 
     mechanism: Mechanism
     start: Start
     past: Past
     doubt: str = ""
+    sound: Any = True
 
 
 def state_of(initial: State | None) -> State:
@@ -60,7 +61,7 @@ def beginning(mechanism: Mechanism, formulation: AbstractFormulation, state: Sta
         start = ready(mechanism, state.concentric, past.worn)
         beyond = start_check.beyond_limits(start.mechanism, start.start)
         doubt = " ".join(filter(None, (start.doubt, beyond)))
-        return Beginning(start.mechanism, start.start, past, doubt)
+        return Beginning(start.mechanism, start.start, past, doubt, start.sound)
     return Beginning(*ready_from_state(mechanism, *state.motion.moving), past)
 
 

@@ -12,14 +12,19 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxclear.components.load_base import AbstractStateLoad
+from jaxclear.formulations.contact_rows import free_motion
+from jaxclear.formulations.delassus import delassus_operator
 from jaxclear.formulations.model import Instant
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.quantity import constant
 from jaxclear.ground.wording import listed, public_name
 from jaxclear.integrators.checks import Outcome
 from jaxclear.multibody.forces import effect_of, load_rows
+from jaxclear.multibody.kinematics import along
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.system import body_loads, coordinate_loads, films_in
+from jaxclear.multibody.topology import moves_along
+from jaxclear.multibody.transmissions import twist_direction
 from jaxclear.multibody.validation import is_users
 from jaxclear.results.state_history import StateHistory, over_time
 from jaxclear.results.trajectory import Trajectory
@@ -28,6 +33,9 @@ from jaxclear.simulation.error_weights import settling_length
 # Longest explicit step beside the time in which a deflection settles: where Runge-Kutta steps of
 # order 4 are stable.
 STABLE = 2.78
+# Longest explicit step times the angular frequency of a vibration that it follows (Hairer, Lubich &
+# Wanner 2006, Geometric Numerical Integration, section I.5.1).
+EXPLICIT = 2.0
 
 
 def message_of_the_end(trajectory: Trajectory) -> str:
@@ -42,6 +50,7 @@ def message_of_the_end(trajectory: Trajectory) -> str:
     if not why and int(trajectory.outcome) == Outcome.NOT_FINITE:
         why = _of_bristles(trajectory.mechanism)
         why = why or _of_controllers(trajectory.mechanism) or _of_films(trajectory.mechanism)
+        why = why or _of_stiff_couplings(trajectory)
     return f"{trajectory.result} {why}".rstrip()
 
 
@@ -79,6 +88,44 @@ def _of_films(mechanism: Mechanism) -> str:
     return (
         f"The film of {listed(joints)} damps the journal faster than explicit steps of this length "
         "resolve; integrator.ImplicitStep needs no shorter ones."
+    )
+
+
+def _of_stiff_couplings(trajectory: Trajectory) -> str:
+    """The coupling whose spring vibrates the fastest where the run begins, if explicit steps as
+    long as those of the run do not follow it."""
+    history, steps = trajectory.history, int(trajectory.accepted_steps)
+    later = np.asarray(history.time)[np.asarray(history.time) > float(trajectory.ended)]
+    trains = history.model().system.transmissions
+    if not trains or not steps or not later.size:
+        return ""
+
+    def squares(now: Instant) -> dict[str, Any]:
+        system, free = (
+            now.model.system,
+            free_motion(now.model, now.time, now.q, now.v, now.followed),
+        )
+        out: dict[str, Any] = {}
+        for name, train in system.transmissions.items():
+            row = twist_direction(now.motions, train).linear_rate(system, now.motions).row
+            (answer,) = delassus_operator(free, [row]).responses
+            light = along(row, answer[0]) / (train.scale * train.scale)
+            out[name] = train.coupling.stiffness * light
+        return out
+
+    fastest = {name: float(each[0]) ** 0.5 for name, each in over_time(history, squares).items()}
+    name, omega = max(fastest.items(), key=lambda item: item[1])
+    step = float(later[0] - history.time[0]) / steps
+    if not step * omega > EXPLICIT:
+        return ""
+    coupling: Any = trajectory.mechanism.couplings[name]
+    unit = "N/m" if moves_along(trajectory.mechanism, coupling) else "N m/rad"
+    return (
+        f'Coupling "{name}" has a stiffness of {float(coupling.stiffness):.3g} {unit}, with which '
+        f"its two sides vibrate at {omega:.3g} rad/s: explicit steps are to be shorter than "
+        f"{EXPLICIT / omega:.2g} s (2/omega; those of the run were {step:.2g} s), and "
+        "integrator.ImplicitStep needs no such. Take shorter steps, or leave the stiffness out "
+        "where it does not count."
     )
 
 

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from jaxclear.errors.accuracy import Bounds, bounds_of_run
@@ -30,6 +31,7 @@ from jaxclear.ground.recent_results import Key, Latest, Value
 from jaxclear.ground.warning import count_warnings
 from jaxclear.integrators.adaptive import Adaptive
 from jaxclear.integrators.base import AbstractIntegrator
+from jaxclear.integrators.checks import Outcome
 from jaxclear.multibody.mechanism import Mechanism, stabilised_as_needed
 from jaxclear.multibody.system import wearing_in
 from jaxclear.native import forwards_only, has_kernels, stoppable
@@ -309,7 +311,7 @@ def _simulate_once(
 
     of_times = None if key is None or is_traced(times) else (key, np.asarray(times).tobytes())
     step_limits = _get_or_compute(_STEPS, of_times, steps)
-    mechanism, start, past, doubt = _get_or_compute(_INITIAL, key, start_state)
+    mechanism, start, past, doubt, sound = _get_or_compute(_INITIAL, key, start_state)
     integrator, shares = step_limits
     total = 1.0 if how.verify is False else 1.0 + 1 / HALF + bool(wearing_in(mechanism))
     with progress.bar(how.progress_bar, "simulating", total) as part:
@@ -337,6 +339,10 @@ def _simulate_once(
                     break
                 integrator, run = refined, again(Replica(refined, saved))
             run = judged_by(shares, until_the_end(diagnosed(guarded(run, integrator))))
+            if is_traced(sound):
+                outcome = jnp.where(sound, run.outcome, Outcome.UNASSEMBLED)
+                ended = jnp.where(sound, run.ended, saved[0])
+                run = dataclasses.replace(run, outcome=outcome, ended=ended)
         run = verify_run(run, integrator, again, how.verify, bounds)
     return dataclasses.replace(run, assembly_warnings=(doubt,)) if doubt else run
 

@@ -410,9 +410,9 @@ def both(
         return result
     if all(load.springs_back() for load in scene.mechanism.loads.values()):
         raise ValueError(
-            "no load of this mechanism reverses (springs, stops and controllers stay as they are), "
-            "so reverse_loads would find no lost motion: add a jaxclear.load.JointTorque, a Force "
-            "or Gravity."
+            "no load of this mechanism reverses (springs, stops, controllers and friction stay as "
+            "they are), so reverse_loads would find no lost motion: add a "
+            "jaxclear.load.JointTorque, as large as the friction of the joint, a Force or Gravity."
         )
     other = positions_at(scene, places, starts if others is None else others, method.reversed)
     return eqx.tree_at(lambda p: p.other, result, other, is_leaf=lambda x: x is None)

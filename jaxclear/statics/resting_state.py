@@ -23,6 +23,7 @@ from jaxclear.components.clearance import AbstractClearance
 from jaxclear.components.coupling import AbstractBodyCoupling
 from jaxclear.formulations import CompliantContact, model_of
 from jaxclear.formulations.permanent_reactions import ReactionNotUnique
+from jaxclear.formulations.rigid import FrictionUnknown
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import expect
@@ -75,10 +76,10 @@ def resting_state(mechanism: Mechanism, worn: Any = None) -> State:
 
     A run from it begins without a fall through the clearance. Each journal rests where the reaction
     of its joint presses it, as deep as its contact law needs to carry that reaction. Reactions
-    include loads, drives and inertia forces of the start, and friction where they are unique;
-    journals without a reaction stay in the middle. Where loops do not allow this, all journals rest
-    together where their contacts carry the loads without friction. Coordinates in `start` of the
-    mechanism are kept.
+    include loads, drives and inertia forces of the start, and friction where they are unique and
+    its law says which Coulomb's law it stands for; journals without a reaction stay in the middle.
+    Where loops do not allow this, all journals rest together where their contacts carry the loads
+    without friction. Coordinates in `start` of the mechanism are kept.
 
     Args:
         mechanism: the `Mechanism`.
@@ -117,11 +118,11 @@ def resting_state(mechanism: Mechanism, worn: Any = None) -> State:
 
 def _run_first_step(mechanism: Mechanism) -> Trajectory:
     """A run so short that nothing moves, in which all journals touch; without friction where it
-    would hang on reactions that are not unique."""
+    would hang on reactions that are not unique, or has no Coulomb's law."""
     options: dict[str, Any] = {"save": 2, "integrator": NonColliding(FIRST), "verify": False}
     try:
         return simulate(mechanism, FIRST, **options)
-    except ReactionNotUnique:
+    except (ReactionNotUnique, FrictionUnknown):
         return simulate(_without_friction(mechanism), FIRST, **options)
 
 

@@ -18,7 +18,7 @@ from jaxclear.errors.observables import GAPS
 from jaxclear.errors.verification import refine_times, replica
 from jaxclear.ground.compiling import by_form
 from jaxclear.ground.printing import part_in_words
-from jaxclear.ground.quantity import on_device, on_host
+from jaxclear.ground.quantity import on_device, on_host, with_fields
 from jaxclear.integrators import AbstractIntegrator, FixedStep, MoreauJean, Outcome
 from jaxclear.integrators.base import PART_OF, STUDIES, Promise
 from jaxclear.integrators.checks import Checks
@@ -259,8 +259,8 @@ class RunExperiment(AbstractExperiment):
         how = replica(counting, self._times(), share)
         if how is None:
             return None
-        places = lambda e: (e.integrator, e.updates)
-        experiment = eqx.tree_at(places, self, (how.integrator, on_device(how.updates)))
+        updates = on_device(how.updates)
+        experiment = with_fields(self, integrator=how.integrator, updates=updates)
         if how.every == 1:
             return experiment
         responses = {name: Thinned(f, how.every) for name, f in self.response.items()}
@@ -279,7 +279,7 @@ class RunExperiment(AbstractExperiment):
             near = max(NEAR_A_CORE // max(memory, 1), LEAST_CHUNK)
             batch = min(batch, 1 << (near.bit_length() - 1))
         # Runs of no length.
-        idle = eqx.tree_at(lambda run: run.duration, self, on_device(0.0))
+        idle = with_fields(self, duration=on_device(0.0))
         return Cost(memory, batch, idle=idle)
 
     def describe(self):

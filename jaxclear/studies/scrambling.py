@@ -1,7 +1,9 @@
 """Scrambled points of Sobol's sequence, of which all quasi-random samples are made."""
 
 import functools
+import warnings
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import scipy
@@ -13,6 +15,8 @@ LEAST_SHARE = 1e-12
 BITS = 30
 DIGITS = np.arange(BITS)[::-1]
 DIRECTION_FILE = "stats/_sobol_direction_numbers.npz"
+# Numbers of a point at the most: so many direction numbers are published.
+MOST_DIMENSIONS = 21_201
 
 
 def scrambled_shares(count: int, dimensions: int, rng: np.random.Generator) -> np.ndarray:
@@ -66,19 +70,45 @@ class ScrambledSequence:
     """
 
     def __init__(self, dimensions: int, rng: np.random.Generator):
+        if dimensions > MOST_DIMENSIONS:
+            raise ValueError(
+                f"samples have {dimensions} random numbers each; Sobol's sequence has at most "
+                f"{MOST_DIMENSIONS}: vary fewer quantities, or take coarser fields."
+            )
+        self.of_scipy: Any = None
+        try:
+            bits = _direction_bits(dimensions)
+        except (OSError, KeyError):
+            # Where SciPy has its table elsewhere its own sequence has the same points.
+            from scipy.stats import qmc
+
+            self.of_scipy = qmc.Sobol(dimensions, bits=BITS, rng=rng)
+            return
         draw_digits = functools.partial(rng.spawn(1)[0].integers, 2, dtype=np.uint32)
         self.shift = draw_digits(size=(dimensions, BITS)) @ (1 << DIGITS[::-1])
         lower = np.tril(draw_digits(size=(dimensions, BITS, BITS)), -1) + np.eye(BITS, dtype=int)
-        scrambled = _direction_bits(dimensions) @ lower.swapaxes(1, 2) & 1
+        scrambled = bits @ lower.swapaxes(1, 2) & 1
         self.directions = scrambled @ (1 << DIGITS)
 
     def points(self, first: int, last: int) -> np.ndarray:
         """Points (last - first, dimensions) of the unit cube, from the first number up to the
-        last."""
+        last. Raises `ValueError` beyond the last that the sequence has."""
+        if last > 2**BITS:
+            raise ValueError(
+                f"a study asks for {last} samples of one sequence, which has 2^{BITS}: take fewer "
+                "samples, or several studies with seeds of their own."
+            )
+        if self.of_scipy is not None:
+            self.of_scipy.reset()
+            if first:
+                self.of_scipy.fast_forward(first)
+            with warnings.catch_warnings():
+                warnings.filterwarnings("ignore", "The balance properties")
+                return self.of_scipy.random(last - first)
         numbers = np.arange(first, last)
         gray_code = numbers ^ numbers >> 1
         points = np.tile(self.shift, (last - first, 1))
-        for digit in range(int(last).bit_length()):
+        for digit in range(int(last - 1).bit_length()):
             points ^= (gray_code >> digit & 1)[:, None] * self.directions[:, digit]
         return points * 2.0**-BITS
 

@@ -274,7 +274,27 @@ def test_a_table_fits_a_screen_and_a_sentence_a_line(worn):
     verified = Verified(*given)
     said = [*verified.notes, *verified.warnings]
     assert len(said) == 2 and max(len(sentence.split()) for sentence in said) <= 26
-    assert said[1].endswith(", and 2 more answers; take shorter steps.")
+    # Steps do not help a chaotic path; another does what the integrator advises.
+    assert said[1].endswith(
+        ", and 2 more answers; the path is chaotic, so take means over samples."
+    )
+    settled = Verified((), numbers, lost, None, *given[4:])
+    assert settled.warnings[0].endswith(", and 2 more answers; take shorter steps.")
+
+
+def test_a_mean_above_its_peak_is_explained():
+    """A journal that touches at both ends: means are sums over its contacts."""
+    names = (
+        ("mean contact force", "mean_force", "B", "N"),
+        ("peak contact force", "peak_force", "B", "N"),
+    )
+    for mean, says in ((249.0, True), (120.0, False)):
+        numbers = np.array([[mean, 0.1, 4e-4, 0.1], [196.0, 0.1, 5e-4, 0.5]])
+        lost = np.zeros(2, bool)
+        shown = str(
+            Verified((), numbers, lost, None, np.zeros(()), REFERENCE, names, "take shorter")
+        )
+        assert ("sums over a joint's contacts" in shown) is says
 
 
 def odd():

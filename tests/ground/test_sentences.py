@@ -1,13 +1,17 @@
 """What `print` shows of a law, a joint, an integrator, a question: its numbers with their units; a
 warning at the line that a user wrote; a nan that hands on its reason."""
 
+from abc import abstractmethod
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import jaxclear as jc
+from jaxclear.ground.argument_errors import _describe_incomplete
 from jaxclear.ground.outcome import Unknown
+from jaxclear.ground.quantity import AbstractQuantified
 from jaxclear.native import by_columns, while_loop
 
 STEEL = jc.Material(young_modulus=207e9, poisson_ratio=0.3)
@@ -132,3 +136,21 @@ def test_each_reason_is_said_once_and_only_of_its_nan():
     assert jc.explain_nan([1.0, np.arange(3), np.inf]) == ""
     for nan in (np.nan, -np.nan):
         assert jc.explain_nan(np.array([1.0, nan])).startswith("It is not a number")
+
+
+def test_a_class_that_lacks_parts_of_its_family_says_which():
+    class AbstractStamp(AbstractQuantified):
+        @abstractmethod
+        def press(self):
+            pass
+
+    class Empty(AbstractStamp):
+        pass
+
+    with pytest.raises(
+        TypeError, match='^Empty leaves "press" of .*AbstractStamp undefined: define'
+    ):
+        Empty()
+    # Of a family of the package, with the attributes that it asks for.
+    sentence = _describe_incomplete(jc.friction.AbstractSlipFriction)
+    assert '"coefficient" of friction.AbstractForceFriction undefined' in sentence

@@ -515,3 +515,54 @@ def test_steps_that_miss_their_laws_are_told(sweeps):
     missed = "Steps missed the laws of contact and friction by up to"
     assert run.succeeded and any(missed in each for each in run.warnings) == (sweeps == 1)
     assert (residual > 1e-3) if sweeps == 1 else (residual <= 1e-12)
+
+
+def chain(overlaps):
+    """Bars, one behind the other, each beyond (> 0) a rigid stop of its joint by so much [rad]."""
+    numbers = range(len(overlaps))
+    behind = ["ground", *(jc.Marker(f"bar {i}", (0.5, 0.0)) for i in numbers)]
+    joints = {
+        f"J{i}": jc.Connection(jc.joint.Revolute(), behind[i], jc.Marker(f"bar {i}", (-0.5, 0.0)))
+        for i in numbers
+    }
+    return jc.Mechanism(
+        {f"bar {i}": jc.Body(1.0, 0.01) for i in numbers},
+        joints,
+        {f"stop {i}": jc.load.JointStop(f"J{i}", upper=0.0, restitution=0.0) for i in numbers},
+        start={f"J{i}": overlap for i, overlap in enumerate(overlaps)},
+    )
+
+
+@pytest.mark.filterwarnings("ignore:.*beyond stop")
+@pytest.mark.parametrize("sweeps", [1, 50])
+def test_steps_that_move_overlaps_apart_by_too_little_say_so(sweeps):
+    """At rest nothing strikes: only what moves bars apart is searched for."""
+    rig = chain([0.0034, 0.0082, 0.0033, -0.013])
+    integrator = jc.integrator.MoreauJean(1e-3, max_sweeps=sweeps)
+    run = jc.simulate(rig, 1e-3, save=2, integrator=integrator, verify=False)
+    residual = float(run.invariants.figures[Check.LAW_RESIDUAL].worst[0])
+    beyond = max(float(run.coordinate(f"J{i}")[-1]) for i in range(4))
+    assert (residual > 1e-3) == (beyond > 1e-3) == (sweeps == 1)
+
+
+@pytest.mark.parametrize("integrator", [jc.integrator.MoreauJean, jc.integrator.FixedStep])
+def test_a_coupling_that_steps_do_not_follow_is_named(integrator):
+    """omega^2 = stiffness (1 / J_a + ratio^2 / J_b) of two free wheels."""
+    stiffness, ratio, inertias = 9e3, 2.0, (1e-3, 2e-3)
+    joints = {
+        "A": jc.Connection(jc.joint.Revolute(), "ground", "a"),
+        "B": jc.Connection(jc.joint.Revolute(), jc.Marker("ground", (0.1, 0.0)), "b"),
+    }
+    rig = jc.Mechanism(
+        {name: jc.Body(1.0, inertia) for name, inertia in zip("ab", inertias, strict=True)},
+        joints,
+        {"drive": jc.load.JointTorque("A", 1.0)},
+        couplings={"belt": jc.coupling.Ratio("A", "B", ratio=ratio, stiffness=stiffness)},
+    )
+    omega = (stiffness * (1 / inertias[0] + ratio**2 / inertias[1])) ** 0.5
+    with pytest.raises(jc.SimulationError, match='Coupling "belt" has a stiffness of 9e.03') as end:
+        jc.simulate(rig, 0.2, save=5, integrator=integrator(1e-3))
+    assert f"at {omega:.3g} rad/s" in str(end.value)
+    assert f"shorter than {2 / omega:.2g} s" in str(end.value)
+    steps = integrator(1.5 / omega)
+    assert jc.simulate(rig, 0.2, save=5, integrator=steps, verify=False).succeeded

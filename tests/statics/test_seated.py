@@ -205,3 +205,20 @@ def test_a_mechanism_whose_numbers_jax_has_changed_is_seated_as_it_is():
     ]
     np.testing.assert_array_equal(ends[0].states, ends[1].states)
     assert float(ends[1].contact("Z").indentation.max()) < 1e-4
+
+
+def test_a_law_without_coulombs_coefficients_is_seated_without_friction():
+    class Felt(jc.friction.AbstractSlipFriction):
+        def coefficient(self, slip_speed):
+            return 0.1 * slip_speed
+
+    bearing = jc.clearance.PlanarJournalBearing(LAW, Felt(), clearance=0.1e-3)
+    rig = jc.Mechanism(
+        {"shaft": jc.Body(1.0, 1e-3)},
+        {"B": jc.Connection(bearing, "ground", "shaft")},
+        {"load": jc.load.Force(jc.Marker("shaft"), (0.0, -200.0))},
+    )
+    seats = jax.tree.leaves(jc.resting_state(rig))
+    smooth = rig.with_joint("B", jc.clearance.PlanarJournalBearing(LAW, clearance=0.1e-3))
+    for part, other in zip(seats, jax.tree.leaves(jc.resting_state(smooth)), strict=True):
+        np.testing.assert_allclose(part, other, atol=1e-12)

@@ -9,6 +9,7 @@ import pytest
 from scipy.stats import norm, qmc
 
 import jaxclear as jc
+from jaxclear.studies import scrambling
 from jaxclear.studies.sampling import BLOCK, draw, groups
 from jaxclear.studies.scrambling import ScrambledSequence
 
@@ -52,6 +53,27 @@ def test_points_are_scipys_bit_for_bit():
         own = ScrambledSequence(dimensions, np.random.default_rng(seed))
         assert np.array_equal(own.points(0, 1024), points)
         assert np.array_equal(own.points(300, 701), points[300:701])
+
+
+def test_points_are_the_same_where_scipy_has_moved_its_table(monkeypatch):
+    own = ScrambledSequence(5, np.random.default_rng(3)).points(300, 701)
+
+    def missing(dimensions):
+        raise FileNotFoundError
+
+    monkeypatch.setattr(scrambling, "_direction_bits", missing)
+    moved = ScrambledSequence(5, np.random.default_rng(3))
+    assert np.array_equal(moved.points(300, 701), own)
+    assert np.array_equal(moved.points(0, 5)[1:], moved.points(1, 5))
+
+
+def test_more_than_the_sequence_has_is_refused_in_a_sentence():
+    with pytest.raises(ValueError, match="21202 random numbers each.*at most 21201"):
+        ScrambledSequence(21_202, np.random.default_rng(0))
+    one = ScrambledSequence(1, np.random.default_rng(0))
+    assert one.points(2**30 - 1, 2**30).shape == (1, 1)
+    with pytest.raises(ValueError, match="1073741825 samples of one sequence, which has 2.30"):
+        one.points(2**30, 2**30 + 1)
 
 
 def test_a_sample_and_its_derivatives_import_no_scipy_stats():

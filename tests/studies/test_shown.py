@@ -7,6 +7,9 @@ import pytest
 
 import jaxclear as jc
 from jaxclear.studies.answer import Column, Stated, dataset_of, table_of, with_interval
+from jaxclear.studies.design.largest import Trial
+from jaxclear.studies.identification.result import Unknown
+from jaxclear.studies.life.result import _percent
 from jaxclear.studies.statistics.scrambled import Statistic
 from jaxclear.studies.statistics.summary import coverage_of_deviation
 
@@ -143,3 +146,20 @@ def test_columns_are_stated_once():
     assert dict(data.sizes) == {"response": 1, "variable": 2, "point": 1} and data.runs == 3
     assert data["share high"].values.tolist()[0][0] == 0.7 and np.isnan(data["share"][0, 1])
     assert data["why"].values.tolist() == [["", "none"]] and data["run"].units == "s"
+
+
+def test_a_share_near_its_end_shows_an_interval_within_it():
+    """0.988 ± 0.022 would reach beyond 1."""
+    assert str(Statistic(0.98828, 0.96613, 0.99757)) == "0.988 (95 %: 0.966 to 0.998)"
+    assert str(Statistic(1.0, 0.9857, 1.0)) == "1 (95 %: 0.986 to 1)"
+    assert str(Statistic(0.5, 0.4, 0.6)) == "0.50 ± 0.10"
+
+
+def test_entries_of_answers_show_words_and_few_digits():
+    numbers = (0.00015313113, 0.0001423208, 0.00015999988, 4.3e-05, 0.000157, 0.155)
+    unknown = Unknown("clearance", "m", *numbers, "identified", "a_x: band energies")
+    words = "clearance is 0.0001531 m, 0.0001423 to 0.00016 m with 95 %."
+    assert str(unknown) == repr(unknown) == words
+    trial = Trial(0.00017214040056201326, 0.0001997758264718308, 2.1e-07, -1.4e-08, 0.0, ())
+    assert repr(trial) == "at 0.0001721 the limit holds: (1.9978 ± 0.0021)e-04"
+    assert _percent(1.5e-15) == "better than 0.0001 %" and _percent(0.0024) == "0.24 %"

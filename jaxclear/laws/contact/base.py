@@ -27,7 +27,12 @@ def exponent_field() -> Any:
 
 
 class AbstractNormalLaw(AbstractLaw):
-    """What happens along the normal of one contact point."""
+    """What happens along the normal of one contact point.
+
+    A law of your own is a `jaxclear.contact.ContactForce` of an elastic force
+    (`AbstractElasticForce`) and a factor (`AbstractDissipation`), or derives from
+    `AbstractContactLaw`.
+    """
 
     compliant: eqx.AbstractClassVar[bool]
     """True: the force is a function of the indentation. False: bodies do not overlap."""

@@ -46,6 +46,9 @@ def check_static(law: Any) -> None:
 class AbstractFrictionLaw(AbstractLaw):
     """Friction of one contact point. Opposes sliding, never gives energy, in proportion to the
     normal force.
+
+    A law of your own that is a function of the sliding speed derives from
+    `jaxclear.friction.AbstractSlipFriction` and defines `coefficient`.
     """
 
     set_valued: eqx.AbstractClassVar[bool]

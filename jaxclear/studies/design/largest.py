@@ -14,7 +14,7 @@ import numpy as np
 
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_count, check_flags, check_name, check_number, expect
-from jaxclear.ground.printing import as_written, in_few, with_error
+from jaxclear.ground.printing import as_written, in_few, with_error, with_text_repr
 from jaxclear.studies.answer import AbstractAnswer, Column, Stated
 from jaxclear.studies.design.limit import AbstractLimit
 from jaxclear.studies.design.population import GROUPS, in_groups
@@ -28,6 +28,7 @@ from jaxclear.studies.statistics.summary import samples_that_bound
 from jaxclear.studies.store.store import stored
 
 
+@with_text_repr
 class Trial(NamedTuple):
     """A trial at a `value` of the variable: the limited `number` with its 95 % `error`, by how much
     both are beyond the bound (`excess`, inf where too many runs fail), the share of
@@ -39,6 +40,11 @@ class Trial(NamedTuple):
     excess: float
     failed: float
     warnings: tuple[str, ...]
+
+    def __str__(self) -> str:
+        holds = "holds" if self.excess <= 0 else "does not hold"
+        number = with_error(self.number, self.error)
+        return f"at {in_few(self.value, 4)} the limit {holds}: {number}"
 
 
 class Largest(AbstractAnswer):

@@ -9,6 +9,7 @@ import numpy as np
 import scipy
 
 from jaxclear.ground.arguments import check_name, check_number
+from jaxclear.ground.printing import with_text_repr
 from jaxclear.studies.answer import DATASET, VARIABLE, AbstractAnswer, Column, Stated
 from jaxclear.studies.distribution import Empirical
 from jaxclear.studies.experiment import Setting
@@ -42,6 +43,7 @@ ONE_RECORD = (
 )
 
 
+@with_text_repr
 class Unknown(NamedTuple):
     """What is known of one unknown, in its `unit`: its `estimate`, `low` and `high` ends of its
     95 % interval, those of its prior, `width` of the one beside the other [1] before a verdict,
@@ -66,6 +68,9 @@ class Unknown(NamedTuple):
             return f"{self.name} is not identified: its interval is the prior's, {ends}."
         also = f", {self.verdict}" if self.verdict in (PARTLY, UNEXPLAINED) else ""
         return f"{self.name} is {self.estimate:.4g}{unit}, {ends} with 95 %{also}."
+
+    def __str__(self) -> str:
+        return self.sentence()
 
 
 def unknown_of(problem: Problem, name: str, shares: Any, method: str = "") -> Unknown:

@@ -226,7 +226,7 @@ def first_state(problem: Problem, values: Any) -> tuple[SavedMotion, Worn]:
     mechanism = problem.with_values(values)
     check_values("this mechanism", mechanism)
     mechanism = formulation.modelled(mechanism)
-    mechanism, start, past, _ = beginning(mechanism, formulation, problem.state)
+    mechanism, start, past = beginning(mechanism, formulation, problem.state)[:3]
     if not problem.keeps_mode(mechanism, start):
         raise ValueError(Outcome.OTHER_MODE.sentence)
     model = model_of(mechanism, formulation)

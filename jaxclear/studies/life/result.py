@@ -12,7 +12,7 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 
 from jaxclear.ground.arguments import check_name, check_number
-from jaxclear.ground.printing import with_text_repr
+from jaxclear.ground.printing import LEAST_ERROR_SHARE, with_text_repr
 from jaxclear.integrators.checks import Checks
 from jaxclear.multibody.system import wearing_in
 from jaxclear.results.response import depends_on
@@ -34,6 +34,12 @@ DEPTH, VOLUME = "depth", "volume"
 LAST = 0.1
 HOUR = 3600.0
 TINY = np.finfo(float).tiny
+
+
+def _percent(error: float) -> str:
+    """A relative error in words: one that is rounding is none to be seen."""
+    least = LEAST_ERROR_SHARE
+    return f"{100 * error:.2g} %" if not error < least else f"better than {100 * least:.4f} %"
 
 
 class Stage(NamedTuple):
@@ -298,9 +304,8 @@ class WearLife(AbstractAnswer):
         reached, deepest = float(self.cycles[-1]), self.at_end(DEPTH)
         back = f", {self.rejected} steps taken back" if self.rejected else ""
         text = f"{reached:.4g} cycles of machine life from {self.simulated} simulated ones{back}: "
-        percents = [100 * error for error in (self.error, self.errors_of_volume[-1])]
-        text += f"{deepest:.4g} m deep, known to {percents[0]:.2g} %, "
-        text += f"the volume to {percents[1]:.2g} %."
+        percents = [_percent(error) for error in (self.error, self.errors_of_volume[-1])]
+        text += f"{deepest:.4g} m deep, known to {percents[0]}, the volume to {percents[1]}."
         text += (
             " The error by the size of cells is not included; verify=True adds it."
             if self.by_cells is None

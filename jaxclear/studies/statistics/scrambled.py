@@ -22,7 +22,7 @@ import equinox as eqx
 import numpy as np
 import scipy
 
-from jaxclear.ground.printing import with_error, with_text_repr
+from jaxclear.ground.printing import in_digits, with_error, with_text_repr
 
 # A 95 % interval leaves half of 5 % on each side.
 CONFIDENCE = 0.95
@@ -67,7 +67,12 @@ class Statistic(eqx.Module):
                 f"at least {self.low:.6g}" if np.isfinite(self.low) else f"at most {self.high:.6g}"
             )
             return f"{ends[0]:.6g}{unit} (95 %: {interval_text})"
-        return f"{with_error(ends[0], float(self.error))}{unit}"
+        value, low, high = ends
+        if low >= 0 and high <= 1 and not self.error <= value <= 1 - self.error:
+            # The farther end laid to the other side would leave what the statistic may be.
+            texts = [in_digits(end, high - low, 3) for end in ends]
+            return f"{texts[0]}{unit} (95 %: {texts[1]} to {texts[2]})"
+        return f"{with_error(value, float(self.error))}{unit}"
 
 
 UNKNOWN = Statistic(np.nan, np.nan, np.nan)

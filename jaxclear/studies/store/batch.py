@@ -133,6 +133,7 @@ def sample_of_chunk(
 
 
 def _of_chunk(function: Callable, problem: Problem, values: Array) -> Any:
+    """The runs of a study, many at once."""
     return function(problem, values)
 
 
