@@ -30,7 +30,13 @@ from jaxclear.multibody import (
 )
 from jaxclear.multibody.assembly_modes import Beginning, Mode, Nominal, beginning_at_guess
 from jaxclear.multibody.forces import relative_motions
-from jaxclear.multibody.mechanism import Mechanism, loosened, ungiven, with_redundancy
+from jaxclear.multibody.mechanism import (
+    Mechanism,
+    loosened,
+    ungiven,
+    with_redundancy,
+    without_stabilisation,
+)
 from jaxclear.multibody.motors_at_start import with_motors
 from jaxclear.multibody.newton import Near, closed, least_step, nearer
 from jaxclear.multibody.start_equations import (
@@ -288,6 +294,7 @@ def _find_start(
 
 def _judge_start(mechanism: Any, *rest: Any) -> Judged:
     """The start to which a search leads, judged where its numbers are."""
+    mechanism = without_stabilisation(mechanism)
     start, *place = _find_start(mechanism, *rest)
     return Judged(start, is_sound(mechanism, start), *place)
 
@@ -313,7 +320,8 @@ def _is_drawn(mechanism: Mechanism, concentric: bool, worn: dict | None) -> bool
     move joints, which others must follow."""
     if mechanism.driven or is_solved(mechanism, concentric):
         return False
-    return bool(_distance_of_guess(mechanism, concentric, worn) <= 1.0)
+    bare = without_stabilisation(mechanism)
+    return bool(_distance_of_guess(bare, concentric, worn) <= 1.0)
 
 
 @compiled_quickly
@@ -324,6 +332,7 @@ def _find_carried_on(mechanism: Mechanism, *rest: Any) -> Start:
 
 def _carry_on_and_judge(mechanism: Mechanism, *rest: Any) -> tuple[Start, Any]:
     """The same, and whether it is sound."""
+    mechanism = without_stabilisation(mechanism)
     start = _find_carried_on(mechanism, *rest)
     return start, is_sound(mechanism, start)
 
@@ -533,7 +542,7 @@ def _add_redundancy(
         return bare, start, sound
     place = start
     if not sound:
-        place = _search_closest(bare, time)
+        place = _search_closest(without_stabilisation(bare), jnp.asarray(time, float))
     elif not redundancy.is_suspect(bare, start):
         return bare, start, sound
     result = redundancy.redundancy(bare, place, time)

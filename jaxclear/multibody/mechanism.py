@@ -506,6 +506,13 @@ def stabilised_as_needed(mechanism: Mechanism, projects: bool) -> Mechanism:
     return with_fields(mechanism, stabilisation=AsNeeded(stabilisation.baumgarte, projects))
 
 
+def without_stabilisation(mechanism: Mechanism) -> Mechanism:
+    """The mechanism as its start is searched: by one program, however an integrator holds loops."""
+    if mechanism.stabilisation is None:
+        return mechanism
+    return with_fields(mechanism, stabilisation=None)
+
+
 def loosened(mechanism: Mechanism, names: tuple[str, ...]) -> Mechanism:
     """The mechanism with the coordinates of these names guessed, not given."""
     if not names:

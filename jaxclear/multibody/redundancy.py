@@ -21,7 +21,7 @@ from jaxtyping import Array
 from jaxclear.components.joint import AbstractRubbingJoint
 from jaxclear.ground import sparse as sp
 from jaxclear.multibody import constraints, kinematics
-from jaxclear.multibody.mechanism import Mechanism
+from jaxclear.multibody.mechanism import Mechanism, without_stabilisation
 from jaxclear.multibody.newton import blocks_of, closed
 from jaxclear.multibody.pose_rows import closing_rows
 from jaxclear.multibody.start_equations import (
@@ -156,13 +156,14 @@ def with_search(redundancy: Redundancy | None, start: Start) -> Redundancy:
 
 def _most_of_rank(mechanism: Mechanism, rows: tuple[Row, ...], start: Start, time: Any) -> Place:
     """The start, or the position near it in which the rows are of a larger rank."""
+    mechanism, time = without_stabilisation(mechanism), jnp.asarray(time, float)
     scales = np.asarray(speed_scales(start_problem(mechanism, False)))
     best = _place_of(mechanism, rows, start.coordinates, time)
     arm = float(best.arm)
     free = np.linalg.svd(best.jacobian)[2][best.rank :]
     random = np.random.default_rng(0)
     times = (LATER if mechanism.driven else LATER[:1]) if len(scales) else ()
-    for later in np.asarray(times):
+    for later in jnp.asarray(times):
         for _ in range(DIRECTIONS if len(free) else 1):
             direction = random.normal(size=len(free)) @ free
             step = MOVED * direction / max(np.linalg.norm(direction), 1e-300) * scales

@@ -82,7 +82,7 @@ def _warned_samples(study: MonteCarlo) -> list[str]:
     """How many samples warn, and what the means are without them."""
     if not len(study.warned) and not study.accuracy_warnings:
         return []
-    sentences = as_warnings(study.accuracy_warnings or [study.sentence()])
+    sentences = as_warnings(study.accuracy_warnings or [study.count_sentence()])
     for row in study.summary().to_dict("records"):
         if row["warned"]:
             values = study.responses[row["response"]]

@@ -56,6 +56,7 @@ from jaxclear.studies.statistics.summary import (
     ends_of,
     failure,
     remarks_of,
+    spread_in_words,
     spread_of,
     summary_of,
     summary_row,
@@ -152,6 +153,11 @@ class MonteCarlo(AbstractAnswer):
         return self.problem.detail(self.values[index], index, self.chunk)
 
     def sentence(self) -> str:
+        """Mean and standard deviation of each response with their 95 % errors, and what
+        `count_sentence` says."""
+        return " ".join([*spread_in_words(self.summary()), self.count_sentence()])
+
+    def count_sentence(self) -> str:
         """How many samples there are, failed and warned, and of what; and why the integrator is
         what it is, where it is not the usual one."""
         text = f"{self.count} samples, {len(self.failed)} failed, {len(self.warned)} with warnings"
@@ -170,7 +176,7 @@ class MonteCarlo(AbstractAnswer):
     def _summary(self):
         failures = [f"The first that failed: {failure(self, int(i))}" for i in self.failed[:1]]
         summary = self.summary()
-        return self.sentence(), *failures, *spread_of(summary), *remarks_of(self, summary)
+        return self.count_sentence(), *failures, *spread_of(summary), *remarks_of(self, summary)
 
     def _stated(self):
         problem, over = self.problem, ("sample",)

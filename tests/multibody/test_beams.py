@@ -151,7 +151,9 @@ def test_first_frequency(held):
         instants = [float(np.interp(0, -way[i : i + 2], run.time[i : i + 2])) for i in falls]
         return 2 * np.pi * (len(instants) - 1) / (instants[-1] - instants[0])
 
-    coarse, fine = frequency(3), frequency(6)
+    # Extrapolated, a remainder of fourth order is left: of 3 and 6 segments 3e-3 for the free beam.
+    few = 3 if held == "clamped" else 4
+    coarse, fine = frequency(few), frequency(2 * few)
     assert abs(fine / exact - 1) < 0.02
     assert fine + (fine - coarse) / 3 == pytest.approx(exact, rel=1e-3)
 

@@ -91,5 +91,8 @@ def test_the_cheapest_clearance_that_keeps_its_film():
     half = 0.5 * (keeping[-1] - keeping[0])
     assert answer.holds
     assert answer.nominal["c"] == pytest.approx(0.5 * (keeping[0] + keeping[-1]), rel=0.03)
-    assert answer.tolerances["c"] == pytest.approx(3 * half / deviations, rel=0.05)
+    # The share keeps its bound by its error, and so the tolerance is up to twice that narrower.
+    error = float(answer.round.check.excess_errors[0])
+    assert error < 0.07
+    assert -2 * error < answer.tolerances["c"] * deviations / (3 * half) - 1 < 0.02
     assert answer.nominal["c"] > clearances[films.argmax()]

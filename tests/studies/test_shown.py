@@ -108,7 +108,7 @@ def test_what_few_samples_do_not_tell_is_said():
     assert f'{short}"plain", "heavy"' in few
     assert "inf" not in few + str(jc.monte_carlo(both, 64).summary()) and "too few" not in many
     for told in (few, many):
-        assert '"heavy" has heavy tails: the 95 % interval of its standard deviation' in told
+        assert '"heavy" has heavy tails (kurtosis ' in told and "samples are needed" in told
         assert 'deviation of "plain"' not in told
 
 
@@ -146,6 +146,18 @@ def test_columns_are_stated_once():
     assert dict(data.sizes) == {"response": 1, "variable": 2, "point": 1} and data.runs == 3
     assert data["share high"].values.tolist()[0][0] == 0.7 and np.isnan(data["share"][0, 1])
     assert data["why"].values.tolist() == [["", "none"]] and data["run"].units == "s"
+
+
+def test_a_sentence_of_a_study_states_its_numbers_with_errors_and_unit():
+    """A product of two sizes of 2 and 0.1: mean 4, deviation 0.283."""
+    study = jc.monte_carlo(ASKED, 64)
+    fit, area, *others = study.sentence().split(" (95 %). ")
+    middle, spread = area.removeprefix('"area": mean ').split(" mm2, standard deviation ")
+    for text, value in ((middle, 4.0), (spread.removesuffix(" mm2"), 0.283)):
+        number, error = map(float, text.split(" ± "))
+        assert 0 < error < 0.2 and abs(number - value) < 2 * error
+    assert fit.startswith('"fit": mean ') and others == ["64 samples, 0 failed, 0 with warnings."]
+    assert "95 %" not in study.count_sentence()
 
 
 def test_a_share_near_its_end_shows_an_interval_within_it():

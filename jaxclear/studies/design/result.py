@@ -192,6 +192,7 @@ class Design(AbstractAnswer):
             "alone and may not be the cheapest."
             for name in self.distrusted
         ]
+        parts += () if self.round.check is None else self.round.check.remarks
         return " ".join([*parts, ENDINGS[self.ended]]).rstrip()
 
     def unit(self, i: int) -> str:
@@ -238,7 +239,12 @@ class Design(AbstractAnswer):
             named = f"{step:.3g} {self.unit(i)}".removesuffix(" 1")
         direction = "more" if limit.upper() else "less"
         saved = in_few(price * step, 3)
-        return f"The limit on the {limit.words()} decides: {named} {direction} saves {saved}."
+        text = f"The limit on the {limit.words()} decides: {named} {direction} saves {saved}."
+        check = self.round.check
+        if check is None or check.excess_errors[i] <= self.allowed_excess:
+            return text
+        more = "more runs (DesignSettings(check=...)) may find a cheaper design."
+        return f"{text} It is kept by its error as well: {more}"
 
     def _stated(self):
         freedom, over = self.question.freedom, (VARIABLE,)

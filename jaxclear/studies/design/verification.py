@@ -19,6 +19,7 @@ from jaxclear.studies.design.question import Question
 from jaxclear.studies.design.runs import Runs
 from jaxclear.studies.infinite_responses import refuse_infinite, replace_infinite
 from jaxclear.studies.statistics.scrambled import half_widths
+from jaxclear.studies.statistics.summary import remark_on_tails
 from jaxclear.studies.surface.control_variate import corrected_values
 
 # Of more new runs than this share that failed a design is not seen to hold.
@@ -30,7 +31,8 @@ INSTEAD = "take limit.Quantile or limit.Probability"
 class Check(NamedTuple):
     """Limited numbers (limits,) and their 95 % errors, excesses (limits,) [1] and theirs, how many
     runs told them and how many of these failed; `failed_at` (variables,): the values of the first
-    of these, if any; `codes` (those that did not,): of what they warn (`studies.run_warnings`)."""
+    of these, if any; `codes` (those that did not,): of what they warn (`studies.run_warnings`);
+    `remarks`: sentences on errors of deviations that so many runs do not bear."""
 
     numbers: np.ndarray
     errors: np.ndarray
@@ -40,6 +42,7 @@ class Check(NamedTuple):
     failed: int
     failed_at: np.ndarray | None
     codes: np.ndarray
+    remarks: tuple[str, ...]
 
     def holds(self, allowed: float) -> np.ndarray:
         """Whether each limit is kept (limits,) but for an excess that is `allowed` [1]. Where its
@@ -91,8 +94,12 @@ class Verifier(NamedTuple):
             rows[rows[:, 0] > largest, 0] = np.inf
             estimates.append(rows)
             contributions.append(np.asarray(_contributions(limit, seen[0])))
-        codes = self.runs.warned(before)
-        return self._make_check(np.array(estimates), contributions, values, good, codes)
+        by_name = dict(zip(self.runs.problem.response_names, responses[good].T, strict=True))
+        moments = [one.response for one in self.question.limits if one.by_moments()]
+        limited = [name for name in dict.fromkeys(moments) if name in by_name]
+        remarks = tuple(filter(None, [remark_on_tails(name, by_name[name]) for name in limited]))
+        check = self._make_check(np.array(estimates), contributions, values, good)
+        return check._replace(codes=self.runs.warned(before), remarks=remarks)
 
     def _make_check(
         self,
@@ -100,7 +107,6 @@ class Verifier(NamedTuple):
         contributions: list[np.ndarray],
         values: np.ndarray,
         good: np.ndarray,
-        codes: np.ndarray,
     ) -> Check:
         """`rows` (limits, 1 + groups, 2): numbers and excesses, of all groups and without each;
         `contributions` of each limit's sample to its excess; `values` (runs, variables), of which
@@ -123,7 +129,8 @@ class Verifier(NamedTuple):
             len(values),
             len(failed),
             failed[0] if len(failed) else None,
-            codes,
+            np.zeros(0, np.int64),
+            (),
         )
 
     def _samples(self, limit, place, model, values, responses, shares, large):

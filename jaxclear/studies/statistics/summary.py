@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import scipy
 
+from jaxclear.ground.printing import with_error
 from jaxclear.ground.table import as_table
 from jaxclear.ground.wording import listed
 from jaxclear.integrators import Outcome
@@ -164,26 +165,36 @@ def remarks_of(study: Any, summary: Any) -> tuple[str, ...]:
             f"{study.count} samples are too few for an interval of {which} of {listed(infinite)}"
             f"{more}."
         ] * bool(infinite)
-    heavy = [(name, _coverage_if_heavy(study.good(name)[0])) for name in names]
-    sentences += [
-        f'"{name}" has heavy tails: the 95 % interval of its standard deviation contains it in '
-        f"about {100 * max(coverage, 0.0):.0f} % of cases."
-        for name, coverage in heavy
-        if coverage < PROMISED
-    ]
-    return tuple(sentences)
+    sentences += [remark_on_tails(name, study.good(name)[0]) for name in names]
+    return tuple(filter(None, sentences))
 
 
-def _coverage_if_heavy(values: np.ndarray) -> float:
-    """`coverage_of_deviation` where values have heavier tails than normal ones show by chance."""
+def remark_on_tails(name: str, values: np.ndarray) -> str:
+    """A sentence where a response has heavier tails than normal ones show by chance, and so the
+    interval of its deviation holds it less often than is said; "" where not.
+
+    Args:
+        name: of the response.
+        values: of its samples, shape (samples,).
+    """
     count = len(values)
     if count < 2 or not np.all(np.isfinite(values)):
-        return CONFIDENCE
-    # The standard error of a normal sample's kurtosis is sqrt(24 / n).
-    chance = float(scipy.special.ndtri(0.5 + 0.5 * CONFIDENCE)) * math.sqrt(24 / count)
+        return ""
     spread = float(values.std())
     away = (values - values.mean()) / spread if spread > 0 else np.zeros(count)
-    return coverage_of_deviation(values) if np.mean(away**4) - 3 > chance else CONFIDENCE
+    kurtosis, coverage = float(np.mean(away**4)), coverage_of_deviation(values)
+    # The standard error of a normal sample's kurtosis is sqrt(24 / n).
+    chance = float(scipy.special.ndtri(0.5 + 0.5 * CONFIDENCE)) * math.sqrt(24 / count)
+    if kurtosis - 3 <= chance or coverage >= PROMISED:
+        return ""
+    # What an interval misses is in inverse proportion to the samples.
+    enough = count * (CONFIDENCE - coverage) / (CONFIDENCE - PROMISED)
+    return (
+        f'"{name}" has heavy tails (kurtosis {kurtosis:.2g}): the 95 % interval of its standard '
+        f"deviation contains it in about {100 * max(coverage, 0.0):.0f} % of cases; for "
+        f"{100 * PROMISED:.0f} % about {enough:.2g} samples are needed, or more if the tails are "
+        "heavier than these."
+    )
 
 
 def spread_of(summary: Any) -> tuple[Any, ...]:
@@ -203,3 +214,19 @@ def spread_of(summary: Any) -> tuple[Any, ...]:
     units = dict(table.attrs.get("units", {}))
     renamed = as_table(table.rename(columns=every), units=units)
     return renamed, *(f'"{n}": {e.unresolved}' for n, e in unresolved)
+
+
+def spread_in_words(summary: Any) -> list[str]:
+    """Mean and deviation of each response with their 95 % errors and unit, as `print` shows them;
+    none of a response without a finite mean."""
+    table = spread_of(summary)[0]
+    mean, error = [name for name in table if name.startswith("mean")][:2]
+    deviation = "standard deviation"
+    sentences = []
+    for row in table.to_dict("records"):
+        unit = "" if row["unit"] == "1" else f" {row['unit']}"
+        middle = with_error(row[mean], row[error])
+        spread = with_error(row[deviation], row[f"{deviation} error"])
+        text = f'"{row["response"]}": mean {middle}{unit}, {deviation} {spread}{unit} (95 %).'
+        sentences += [text] * bool(np.isfinite(row[mean]))
+    return sentences
