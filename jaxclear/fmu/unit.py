@@ -308,7 +308,7 @@ class Unit:
             "CHANGED": len(changed),
             "ORDER": self.order,
             "TRUSTED": TRUSTED,
-            "SMALLEST": SMALLEST["equal" if self.order else "by tolerance"],
+            "SMALLEST": max(SMALLEST["equal" if self.order else "by tolerance"]),
         }
         arrays = {
             "unsigned slope_of": [str(1 + self.names.index(name)) for name in self.slopes],

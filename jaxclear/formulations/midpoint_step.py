@@ -157,6 +157,20 @@ def blank_start(model: Model) -> WarmStart:
     )
 
 
+class PerKind(NamedTuple):
+    """Values of the laws over a step, one a law, by the kind of the law."""
+
+    contacts: list[tuple]
+    joints: list[tuple]
+    springs: list[tuple]
+    films: list[tuple]
+
+    @property
+    def others(self) -> list[tuple]:
+        """Those of `Step.others`."""
+        return [*self.joints, *self.springs, *self.films]
+
+
 class Step(NamedTuple):
     """All that a step starts from; rows of contacts come first, then those of `others`."""
 
@@ -185,9 +199,11 @@ class Step(NamedTuple):
         """Change of each row's rate by the acceleration that the rows add to it [s]."""
         return [reach for law in self.laws for reach, _ in law.reaches]
 
-    def per_law(self, values: Any) -> list[tuple]:
+    def per_law(self, values: Any) -> PerKind:
         """One value per row, as one tuple for each of the laws."""
-        return split(values, [len(law.reaches) for law in self.laws])
+        by_law = split(values, [len(law.reaches) for law in self.laws])
+        kinds = self.contacts, self.joints, self.springs, self.films
+        return PerKind(*map(list, split(by_law, [len(kind) for kind in kinds])))
 
 
 def step(
@@ -228,11 +244,12 @@ def step(
     q, depths = _settle(step, rates, forces, q, v)
     memories = [
         law.memory_after(moved, -force[0])
-        for law, moved, force in zip(step.contacts, rates, forces, strict=False)
+        for law, moved, force in zip(step.contacts, rates.contacts, forces.contacts, strict=True)
     ]
     by_bearing = dict(zip(model.system.bearings, by_joint(model.system, memories), strict=True))
     after = [*q, *v, *pack_memories(model.layout, by_bearing)]
-    slid = [law.slips_at_end(moved) for law, moved in zip(step.contacts, rates, strict=False)]
+    sliding = zip(step.contacts, rates.contacts, strict=True)
+    slid = [law.slips_at_end(moved) for law, moved in sliding]
     passive, reactions = _passive_rates(step, solution, rates, forces, slid, mean)
     after += [x + h * rate for x, rate in zip(entries[len(after) :], passive, strict=True)]
     after = within_gaps(model.system, model.layout, after)
@@ -241,7 +258,7 @@ def step(
             PastSlip(traction, slip, slip + start.turn)
             for start, slip, traction in zip(law.slips, end, force[1:], strict=True)
         )
-        for law, end, force in zip(step.contacts, slid, forces, strict=False)
+        for law, end, force in zip(step.contacts, slid, forces.contacts, strict=True)
     ]
     motion = []
     if last.forces:
@@ -249,8 +266,7 @@ def step(
         moving = [x.approach + h * along(y.rates[0].row, last.surplus) for x, y in pairs]
         motion = list(zip([law.depth for law in step.contacts], moving, strict=True))
     faster = surplus(bias, free, caused) if step.contacts else []
-    means = rates[len(rates) - len(films) :]
-    means = [film.mean_velocity(moved) for film, moved in zip(films, means, strict=True)]
+    means = [film.mean_velocity(moved) for film, moved in zip(films, rates.films, strict=True)]
     if films:
         fast = [x + h * more for x, more in zip(v, faster, strict=True)]
         rows = len(solution.rates)
@@ -322,8 +338,7 @@ def _iterate(step: Step, outset: Outset, iterations: int) -> ContactSolution:
 
     def improve(solution, turn):
         rates, forces = map(unstacked, solution[:2])
-        by_law = step.per_law(rates)
-        films = zip(step.films, by_law[len(by_law) - len(step.films) :], strict=True)
+        films = zip(step.films, step.per_law(rates).films, strict=True)
         tangents = [(*film.tangent(moved, turn == 0), moved) for film, moved in films]
         laws = _linear_laws(step, rates, forces)
         better = solve_with_films(equations, reaches, unmoved, laws, tangents)
@@ -343,15 +358,16 @@ def _linear_laws(step: Step, rates: list, forces: list) -> LinearLaws:
     def linear(laws, rates, forces):
         return tuple(law.linear(*about) for law, *about in zip(laws, rates, forces, strict=True))
 
-    values = step.laws, step.per_law(rates), step.per_law(forces)
-    calls = list(zip(*(by_joint(step.model.system, each) for each in values), strict=True))
+    values = map(step.per_law, (rates, forces))
+    about, others = zip(*((each.contacts, each.others) for each in values), strict=True)
+    contacts = (by_joint(step.model.system, each) for each in (step.contacts, *about))
+    calls = list(zip(*contacts, strict=True))
     result = [each for joint in map_grouped(linear, calls) for each in joint]
-    every = list(zip(*values, strict=True))
-    result += [law.linear(*about) for law, *about in every[len(result) :]]
+    result += linear(step.others, *others)
     return LinearLaws(*([x for laws in result for x in laws[part]] for part in range(3)))
 
 
-def _settle(step: Step, rates: list, forces: list, q: list, v: list) -> tuple[list, list]:
+def _settle(step: Step, rates: PerKind, forces: PerKind, q: list, v: list) -> tuple[list, list]:
     """Coordinates moved, speeds kept, so that closed contacts are as deep as the forces have worked
     for; and these depths.
 
@@ -365,7 +381,10 @@ def _settle(step: Step, rates: list, forces: list, q: list, v: list) -> tuple[li
     true_depths = contact_rows.indentations(step.model, step.time_step.end, *motion)
     led = map_many(
         lambda law, rate, force: law.depth_worked_for(rate, force),
-        [(law, r[0], f[0]) for law, r, f in zip(step.contacts, rates, forces, strict=False)],
+        [
+            (law, rate[0], force[0])
+            for law, rate, force in zip(step.contacts, rates.contacts, forces.contacts, strict=True)
+        ],
     )
     unmoved, weights = [], []
     for contact, true, assumed in zip(step.contacts, true_depths, led, strict=True):
@@ -379,14 +398,14 @@ def _settle(step: Step, rates: list, forces: list, q: list, v: list) -> tuple[li
     ones = [1.0] * len(unmoved)
     shift = step.equations.solve(ones, unmoved, LinearLaws(nothing, weights, nothing))
     depths = []
-    for assumed, change in zip(led, step.per_law(shift.rates), strict=False):
+    for assumed, change in zip(led, step.per_law(shift.rates).contacts, strict=True):
         moved = assumed + change[0]
         depths.append(jnp.where(moved > 0, jnp.minimum(positive_part(assumed), moved), moved))
     return drift(system, q, q, shift.accelerations, 1.0), depths
 
 
 def _passive_rates(
-    step: Step, solution: ContactSolution, rates: list, forces: list, ends: list, mean: list
+    step: Step, solution: ContactSolution, rates: PerKind, forces: PerKind, ends: list, mean: list
 ) -> tuple[list, tuple[Reaction, ...]]:
     """(rates of what only follows the motion, with the forces that the step was made with;
     reactions of ideal joints that rub). `ends`: slips at its end along the directions in its
@@ -394,7 +413,7 @@ def _passive_rates(
     model, free_motion = step.model, step.middle.free_motion
     layout, system = model.layout, model.system
     # Of all that the speeds gain by contact, so also where an iteration ends with a pull.
-    normal = [-part[0] for part in forces[: len(step.contacts)]]
+    normal = [-part[0] for part in forces.contacts]
     pressing = [sp.total(part) for part in by_joint(system, normal)]
     if not (layout.wear or layout.energies or step.joints or step.films):
         return [*followed_rates(system, layout, free_motion.forces), *pressing], ()
@@ -411,8 +430,7 @@ def _passive_rates(
             motion = unpack_motion(system, [*step.middle.halfway, *mean])
             motions = kinematics.link_motions(system, *motion, time)
         applied = forces_at(system, motions, reports, *motion, time, followed)
-        behind = len(rates) - len(step.films)
-        applied = with_films(applied, step.films, forces[behind:], rates[behind:])
+        applied = with_films(applied, step.films, forces.films, rates.films)
         pressing += film_losses(system, applied)
     accelerations, multipliers = (
         [sp.add(a, b) for a, b in zip(free, caused, strict=True)]
@@ -424,7 +442,7 @@ def _passive_rates(
     total = link_accelerations(system, accelerations, tuple(multipliers))
     passive, reactions = Passive(), tuple[Reaction, ...]()
     if step.joints:
-        pairs = zip(step.joints, forces[len(step.contacts) :], strict=False)
+        pairs = zip(step.joints, forces.joints, strict=True)
         rubs = [x for joint, part in pairs for x in joint.friction(part, change)]
         # The accelerations contain the joints' friction, so the power of a drive asks for it too.
         rubbing = applied, step.middle, total, rubs, change
@@ -433,7 +451,7 @@ def _passive_rates(
 
 
 def _acting_contacts(
-    step: Step, rates: list, forces: list, ends: list, change: list
+    step: Step, rates: PerKind, forces: PerKind, ends: list, change: list
 ) -> list[ActingContact]:
     """The contacts with mean forces and rates over the step, and the mean indentation while in
     contact; `ends`: slips at the end; `change`: from the predicted speeds to the mean ones, which
@@ -442,7 +460,7 @@ def _acting_contacts(
     acting = []
     points = step.middle.free_motion.contacts
     for point, law, slid, (rate, *_), (normal, *tractions) in zip(
-        points, step.contacts, ends, rates, forces, strict=False
+        points, step.contacts, ends, rates.contacts, forces.contacts, strict=True
     ):
         pairs, normal = zip(law.slips, slid, strict=True), positive_part(-normal)
         # Along the directions as they turn.

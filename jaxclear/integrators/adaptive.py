@@ -94,10 +94,10 @@ class Adaptive(AbstractIntegrator):
     First derivatives through contacts are those of the motion (within 1.2 % at the usual tolerance,
     measured through up to seven impacts; 3 % in a slider-crank at 5000 rpm): steps end at touches
     and releases, and know how these move (`saltation`). They are nan where impacts have made them
-    grow so much that the tolerance no longer determines them. All are compared with those at a
-    sixteenth of the tolerance, and nan where these tell an error beyond a hundredth. A tighter
-    `rtol` goes further. Through contacts not with implicit solvers and `MuntheKaas` (it keeps
-    rotations on their group), where `jaxclear.sensitivity` is the way.
+    grow so much that the tolerance no longer determines them. All are those at a sixteenth of the
+    tolerance, and nan where those at the tolerance itself differ by more than a hundredth. With a
+    tighter `rtol` they go further. Through contacts not with implicit solvers and `MuntheKaas` (it
+    keeps rotations on their group), where `jaxclear.sensitivity` is the way.
 
     Stiff scenes (large friction over tiny transition speeds) may prefer
     diffrax.Kvaerno5(root_finder=optimistix.Newton(rtol=1e-6, atol=1e-8)); of stiff couplings beside

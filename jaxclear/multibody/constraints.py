@@ -188,11 +188,10 @@ def constraint_rows(
     )
 
 
-def residuals(system: System, motions: tuple[Motion, ...], closure: Closure) -> tuple:
+def residuals(motions: tuple[Motion, ...], closure: Closure) -> tuple:
     """Residual of each row of a closure [m, rad, 1]; 0 where structurally satisfied.
 
     Args:
-        system: not read.
         motions: motion of every link at one instant, in the order of `system.links`.
         closure: pair of markers, or sum of coordinates.
     """

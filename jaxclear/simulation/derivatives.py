@@ -12,7 +12,7 @@ contact) the derivative of the discrete run converges to that of the motion, and
 through the steps, backwards as so many of these as numbers move.
 
 A derivative has a companion, as values have: the same in other steps, or at a tighter tolerance.
-Where that tells it to be off it is nan.
+It is that of the finest steps among them, and nan where the others show that it is off.
 """
 
 import functools
@@ -165,8 +165,10 @@ SHORTER, FEWEST = {1: (1 / 2, 1 / 3), 2: (1 / 2,)}, 4
 TRUSTED = 0.01
 # A derivative that moves something by less than this share of the least by which a number moves
 # counts as one that does by so much: of equal steps it is rounding (a drive, not friction, says
-# where a mechanism is), of those that a tolerance decides what this leaves.
-SMALLEST = {"equal": 1e-9, "by tolerance": 1e-2}
+# where a mechanism is); of those that a tolerance decides that tolerance (1e-7) over `TRUSTED`, or
+# the second share for what is not under its control: peaks, which lie between steps, and states
+# much less moved than the largest of their kind, beside which errors are controlled.
+SMALLEST = {"equal": (1e-9, 0.0), "by tolerance": (1e-7 / TRUSTED, 1e-2)}
 
 
 def is_compared(mechanism: Mechanism, integrator: AbstractIntegrator) -> bool:
@@ -211,11 +213,10 @@ def compared(
         function: whose results and derivatives are wanted.
         finer: `finer(share, *arguments)`: arguments for steps that are this share of the usual
             ones.
-        judged: `judged(result, tangents, ratios, least)`: the derivatives to return; of
-            `tangents` the
-                    nominal run's come first, `ratios` are errors at the other step sizes over the
-            nominal one's,
-            `least` is the smallest derivative that counts, as a share of the result.
+        judged: `judged(result, tangents, ratios, least, shares)`: the derivatives to return; of
+            `tangents` the nominal run's come first, `ratios` are errors at all step sizes over the
+            nominal one's, `least` is the least share of itself by which a number moves, `shares`
+            are those of `SMALLEST`.
         steps: `steps(*arguments)`: step size [s] or None, and times [s] at which a step ends.
         order: of the method, by which `ratios` are computed.
     """
@@ -243,7 +244,8 @@ def compared(
             out, floats, moved = jax.vmap(one)(shares)
             nominal, floats = jax.tree.map(lambda each: each[0], (out, floats))
             still = jax.tree.map(lambda each: np.zeros(each.shape, jax.dtypes.float0), floats)
-            verdict = judged(eqx.combine(nominal, floats), moved, ratios, smallest * _least(*both))
+            nominal_result = eqx.combine(nominal, floats)
+            verdict = judged(nominal_result, moved, ratios, _least(*both), smallest)
             return (nominal, floats), (verdict, still)
 
         nominal = jax.custom_jvp(at_share, nondiff_argnums=(0,))
@@ -254,17 +256,19 @@ def compared(
 
 
 def _shares(step: Scalar | None, times: Float[Array, " saves"], order: int) -> tuple[Array, Array]:
-    """(1 and the shares of a step [s] that others are, how large an error of this order is in them
-    beside it): steps end at all these times [s], so they are not as long as they are asked for. Of
-    steps that a tolerance decides (None) errors are taken to fall no faster than with the step."""
+    """(1 and the shares of a step [s] that others are, how large an error of this order is in each
+    beside the first): steps end at all these times [s], so they are not as long as they are asked
+    for. Of steps that a tolerance decides (None) errors are taken to fall no faster than with the
+    step."""
     if step is None:
-        return jnp.array([1.0, HALF]), jnp.array([HALF])
+        return (jnp.array([1.0, HALF]),) * 2
     count = lambda step: jnp.maximum(jnp.ceil(jnp.diff(times) / step * (1 - SLIVER)), 1.0)
     nominal = count(step)
     longer, shorter = (jnp.asarray(shares[order]) for shares in (LONGER, SHORTER))
     others = jnp.where(jnp.min(nominal) >= FEWEST, longer, shorter)
-    ratios = jnp.sum(nominal) / jnp.sum(jax.vmap(lambda share: count(share * step))(others), axis=1)
-    return jnp.concatenate([jnp.ones(1), others]), ratios**order
+    shares = jnp.concatenate([jnp.ones(1), others])
+    counts = jnp.sum(jax.vmap(lambda share: count(share * step))(shares), axis=1)
+    return shares, (counts[0] / counts) ** order
 
 
 def _least(numbers: Any, tangents: Any) -> Scalar:
@@ -280,24 +284,30 @@ def _least(numbers: Any, tangents: Any) -> Scalar:
 
 
 def refuse_steps(tangents: Array, ratios: Array, scale: Array, smallest: Any) -> Array:
-    """Derivatives of the nominal run; nan where other step sizes show that steps decide them.
+    """Derivatives in the finest steps; nan where other step sizes show that steps decide them.
 
     Args:
         tangents: derivatives, the nominal run's first, then those at other step sizes.
-        ratios: errors at the other step sizes over the nominal one's.
+        ratios: errors at these step sizes over the nominal one's.
         scale: size beside which the error of a derivative is judged.
         smallest: least such size.
     """
-    nominal, others = tangents[0], tangents[1:]
-    ratios = jnp.expand_dims(ratios, tuple(range(1, others.ndim)))
-    off = jnp.max(abs(others - nominal) / abs(ratios - 1), axis=0)
-    trusted = (off <= TRUSTED * jnp.maximum(scale, smallest)) | jnp.isnan(nominal)
-    # A nan from other steps carries its reason.
+    finest = jnp.argmin(ratios)
+    best = tangents[finest]
+    factors = safe_divide(ratios[finest], abs(ratios - ratios[finest]))
+    off = jnp.max(
+        abs(tangents - best) * jnp.expand_dims(factors, tuple(range(1, tangents.ndim))), axis=0
+    )
+    trusted = off <= TRUSTED * jnp.maximum(scale, smallest)
+    # A nan, of the nominal run or of others, carries its reason.
     reason = jnp.where(jnp.isnan(off), off, Unknown.STEPS_DECIDE.number)
-    return jnp.where(trusted, nominal, reason)
+    reason = jnp.where(jnp.isnan(tangents[0]), tangents[0], reason)
+    return jnp.where(trusted, best, reason)
 
 
-def refuse_run(run: Trajectory, tangents: Trajectory, ratios: Array, least: Scalar) -> Trajectory:
+def refuse_run(
+    run: Trajectory, tangents: Trajectory, ratios: Array, least: Scalar, shares: tuple
+) -> Trajectory:
     """Derivatives of a run, nan where steps decide them.
 
     Those of states at the end are judged beside their own size, at an earlier instant beside the
@@ -307,23 +317,41 @@ def refuse_run(run: Trajectory, tangents: Trajectory, ratios: Array, least: Scal
     Args:
         run: the nominal run.
         tangents: its derivatives, the nominal ones first, then those at other step sizes.
-        ratios: errors at the other step sizes over the nominal one's.
-        least: smallest derivative that counts, as a share of the number's size [1].
+        ratios: errors at these step sizes over the nominal one's.
+        least: least share of itself by which a number moves [1].
+        shares: of derivatives that count (`SMALLEST`).
     """
     largest = lambda each, axis=None: jnp.max(abs(each), axis=axis, initial=0.0)
 
-    def one(each, number):
-        return refuse_steps(each, ratios, largest(each[0]), least * largest(number))
+    def judge_with(share, tangents, numbers):
+        def one(each, number):
+            return refuse_steps(each, ratios, largest(each[0]), share * least * largest(number))
 
-    judged = jax.tree.map(one, tangents, eqx.filter(run, eqx.is_inexact_array))
+        return jax.tree.map(one, tangents, numbers)
+
+    numbers = eqx.filter(run, eqx.is_inexact_array)
+    judged = judge_with(shares[0], tangents, numbers)
+    peaks = judge_with(max(shares), tangents.extremes, numbers.extremes)
     topology = run.mechanism.topology
     n, m = topology.coordinate_count, topology.speed_count
-    size = largest(run.history.states, 0)
-    # A coordinate that is 0 is one among others; what a run sums up is in units of its own.
-    kinds = jnp.split(size, (n, n + m))
-    size = jnp.concatenate([*(jnp.full_like(kind, largest(kind)) for kind in kinds[:2]), kinds[2]])
+
+    def largest_of_kind(size):
+        """A coordinate that is 0 is one among others; what a run sums up is in its own units."""
+        kinds = jnp.split(size, (n, n + m), axis=-1)
+        whole = lambda kind: jnp.broadcast_to(
+            jnp.max(kind, axis=-1, keepdims=True, initial=0.0), kind.shape
+        )
+        return jnp.concatenate([*map(whole, kinds[:2]), kinds[2]], axis=-1)
+
     states = tangents.history.states
     nominal = abs(states[0])
     scale = jax.lax.cummax(nominal, axis=0).at[-1].set(nominal[-1])
-    states = refuse_steps(states, ratios, scale, least * size)
-    return eqx.tree_at(lambda run: run.history.states, judged, states)
+    scale = jnp.maximum(scale, shares[1] * largest_of_kind(scale))
+    size = shares[0] * least * largest_of_kind(largest(run.history.states, 0))
+    states = refuse_steps(states, ratios, scale, size)
+    return eqx.tree_at(
+        lambda run: (run.history.states, run.extremes),
+        judged,
+        (states, peaks),
+        is_leaf=lambda each: each is None,
+    )

@@ -4,6 +4,7 @@ The whole path from varied numbers to responses is one pure function, `evaluate`
 samples and differentiates.
 """
 
+import functools
 import math
 from collections.abc import Callable
 from typing import Any
@@ -363,7 +364,9 @@ def _answers(experiment: RunExperiment, setting: Setting, discrete: bool) -> Sam
     has_pathwise = discrete and integrator.pathwise
     modelled = integrator.formulation.modelled(experiment.mechanism)
     if not has_pathwise and is_compared(modelled, integrator):
-        evaluate = compared(_answer_setting, _finer, _guard, _steps, order_of(modelled, integrator))
+        peaks = {k for k, one in experiment.response.items() if needs_of(one) == "peak forces"}
+        guard = functools.partial(_guard, peaks)
+        evaluate = compared(_answer_setting, _finer, guard, _steps, order_of(modelled, integrator))
         return backwards(integrator)(evaluate, experiment, setting)
     started = lambda experiment, setting: experiment.started(setting, has_pathwise)
     mechanism, start, run = backwards(integrator)(started, experiment, setting)
@@ -398,12 +401,21 @@ def _steps(experiment: RunExperiment, _: Any) -> tuple[Any, Any]:
     return experiment.integrator.requested_step(), experiment.shares * experiment.duration
 
 
-def _guard(result: SampleResult, tangents: SampleResult, ratios: Array, least: Any) -> SampleResult:
-    """Derivatives of what is answered; those of responses are nan where steps decide them."""
-    responses = {
-        name: refuse_steps(tangent, ratios, abs(tangent[0]), least * abs(result.responses[name]))
-        for name, tangent in tangents.responses.items()
-    }
+def _guard(
+    peaks: set[str],
+    result: SampleResult,
+    tangents: SampleResult,
+    ratios: Array,
+    least: Any,
+    shares: tuple,
+) -> SampleResult:
+    """Derivatives of what is answered; those of responses are nan where steps decide them.
+    `peaks`: names of responses that lie between steps."""
+    responses = {}
+    for name, tangent in tangents.responses.items():
+        share = max(shares) if name in peaks else shares[0]
+        smallest = share * least * abs(result.responses[name])
+        responses[name] = refuse_steps(tangent, ratios, abs(tangent[0]), smallest)
     moves = jax.tree.map(lambda each: each[0], tangents)
     return SampleResult(responses, moves.outcome, moves.ended, moves.checks)
 

@@ -154,13 +154,18 @@ def test_a_journal_at_rest_lies_lower_by_what_its_clearance_is_larger(stiffness)
     ("law", "step"), [*((law, 2e-5) for law in KINDS), ("Flores", 1e-4), ("AdamsImpact", 1e-4)]
 )
 def test_bounces_have_the_derivatives_of_the_motion(law, step):
-    """Through one to six bounces; where a damper is cut off before contact ends, to 2 %."""
+    """Through one to six bounces; where a damper is cut off before contact ends, to 2 %. Runs in
+    steps twice as long as 0.1 ms are off the motion from the second bounce by Flores on."""
     contact, *numbers = LAWS[law]
     within = 2e-2 if law in ("KelvinVoigt", "AdamsImpact") else 3e-3
     variables = CLEARANCE, start_speed, *numbers
-    ends = ENDS if step < 1e-4 else ENDS[:3]
+    ends = ENDS if step < 1e-4 else ENDS[: 1 if law == "Flores" else 3]
     rung = jc.integrator.ImplicitStep(step, rebound=1.0)
     assert_right(bouncing(contact), "journal", 1, variables, ends, within, rung)
+    if len(ends) == 1:
+        asked = problem(bouncing(contact), "journal", 1, variables, rung)
+        slopes = jax.jit(jax.jacfwd(lambda v: answer(asked, v, ENDS[1])))(asked.nominal())
+        assert np.all(np.isnan(slopes)) and "3 % of the narrowest gap" in jc.explain_nan(slopes)
 
 
 @pytest.mark.slow

@@ -3,6 +3,8 @@ differences of tight runs, extrapolated to none, for contact laws and joints of 
 beside closed forms.
 """
 
+import functools
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -174,15 +176,28 @@ CASES = {
 @pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 def test_joints_friction_and_drives_have_the_derivatives_of_the_motion(name):
-    """By its mass the slider-crank's slope of usual tolerance is off by 4 to 5 %, which that of a
-    tighter one tells: it is nan."""
     rig, *case = CASES[name]
-    rung = tight(1e-8) if "seven" in name else None
-    assert_right(rig(), *case, within=6e-3, rung=rung)
-    if rung is not None:
-        asked = problem(rig(), *case[:3], jc.integrator.Adaptive())
-        slopes = jax.jit(jax.jacfwd(lambda v: answer(asked, v, *case[3])))
-        np.testing.assert_array_equal(np.isnan(slopes(asked.nominal())), (False, True))
+    assert_right(rig(), *case, within=6e-3)
+
+
+@pytest.mark.slow
+def test_a_slope_is_right_or_refused_however_little_moves():
+    """By its mass the slider moves by some 1e-3 of where it is: behind seven impacts the slope at
+    the usual tolerance alone would be 0.9 % off, which tighter steps mend; 1 ms later up to 3 %."""
+    rig, body, axis, variables, _ = CASES["slider-crank, seven impacts"]
+    asked, best = (
+        problem(rig(), body, axis, variables, rung)
+        for rung in (jc.integrator.Adaptive(), tight(1e-10))
+    )
+    slopes, exact = (
+        jax.jit(jax.jacfwd(functools.partial(answer, each), 0)) for each in (asked, best)
+    )
+    values = asked.nominal()
+    np.testing.assert_allclose(slopes(values, 0.01), exact(values, 0.01), rtol=1e-3)
+    found, wanted = slopes(values, 0.011), exact(values, 0.011)
+    known = ~np.isnan(found)
+    np.testing.assert_allclose(found[known], wanted[known], rtol=2e-3)
+    assert known.all() or jc.explain_nan(found).startswith("In steps of another length")
 
 
 @pytest.mark.slow
