@@ -13,7 +13,7 @@ from jaxclear.studies.usual_integrator import usual_integrator
 from tests.rigs.loaded_bearing import loaded_bearing, losses
 
 DURATION, SAVES = 0.01, 41
-# The default aims at 0.02 in friction loss, worn volume and the deepest cell (implicit steps promise
+# The default aims at 0.02 in friction loss, worn volume and deepest cell (implicit steps promise
 # 0.1; the references agree to 1e-3). Of 264 bearings one misses it: 5000 N on `AdamsStep` are 2.5 %
 # off, stated at 3.5 %, indented beyond what contact laws are made for (warned).
 WITHIN = 0.03
