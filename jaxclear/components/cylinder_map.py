@@ -102,15 +102,29 @@ class CylinderMap(AbstractRound):
         """
         return self.column(x, y), self.row(z)
 
+    def footprint(self, features):
+        towards, length = self.mean_direction(features)
+        depth, _, touching = self._overlapped(features)
+        along = self.cells[1] / self.coarse_along
+        width = jnp.sqrt(2.0 * depth / self.clearance)
+        around = direction_angle(*towards) / self.cell, arc(length) / self.cell, width / self.cell
+        return jnp.stack([*around, touching / self.length * along, features[4] * along])
+
+    def _overlapped(self, features: Array) -> tuple[Array, Array, Array]:
+        """(overlap [m], by how much that falls towards the other end [m], up to where along a
+        tilted journal overlaps [m])."""
+        fall, narrowness, end = features[2:]
+        depth = self.depth_of(safe_divide(1.0, narrowness * narrowness))
+        fallen = jnp.abs(fall) * jnp.abs(end)
+        return depth, fallen, safe_divide(depth * self.length, 2.5 * fallen + depth)
+
     def contact(self, volume, features):
         towards, length = self.mean_direction(features)
-        fall, narrowness, end = features[2:]
-        ends, fallen, clearance = jnp.abs(end), jnp.abs(fall) * jnp.abs(end), self.clearance
+        fall, _, end = features[2:]
+        ends, clearance = jnp.abs(end), self.clearance
         half_arc = arc(length)
-        depth = self.depth_of(safe_divide(1.0, narrowness * narrowness))
-        # Up to where a tilted journal overlaps. Its two ends have shares, as the line between them
-        # tells, that add up to one.
-        touching = safe_divide(depth * self.length, 2.5 * fallen + depth)
+        depth, fallen, touching = self._overlapped(features)
+        # The two ends have shares, as the line between them tells, that add up to one.
         half_width, area = safe_sqrt(2.0 * depth / clearance), self.radius * touching
         overlap = 4 / 3 * area * depth * (half_width + 1.5 * half_arc)
         root = 0.5 * jnp.pi * area * safe_sqrt(depth) * half_width

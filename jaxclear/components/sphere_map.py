@@ -216,10 +216,19 @@ class SphereMap(AbstractRound):
         """
         return self.column(x, y), self.row(direction_angle(safe_sqrt(x * x + y * y), z))
 
-    def contact(self, volume, features):
+    def footprint(self, features):
+        point = self._point(features)
+        width = safe_sqrt(2.0 * self.depth_of(safe_divide(1.0, features[8])) / self.clearance)
+        return jnp.stack([*point.normal, *(point.half_arc * point.travel), width]) / self.cell
+
+    def _point(self, features: Array) -> "Point":
+        """Where a ball touches in a loss."""
         normal, length = self.mean_direction(features)
         travel, share = _direction_of_spread(jnp.stack(normal), features[3:8], DROWNED * self.cell)
-        half_arc = arc(length) * safe_sqrt(share)
+        return Point(normal, length > 0, travel, arc(length) * safe_sqrt(share))
+
+    def contact(self, volume, features):
+        normal, directed, travel, half_arc = self._point(features)
         square, unresolved = half_arc * half_arc, (UNRESOLVED * self.cell) ** 2
         fixed = jax.lax.stop_gradient(travel)
         resolved = square / jnp.sqrt(square * square + unresolved * unresolved)
@@ -230,7 +239,7 @@ class SphereMap(AbstractRound):
         overlap = area * depth * (0.5 * jnp.pi * half_width + 8 / 3 * half_arc)
         root = 2 / 3 * jnp.pi * area * safe_sqrt(depth) * half_width
         deepest = safe_sqrt((volume + overlap) * self.clearance / jnp.pi) / self.radius
-        place = Point(normal, length > 0, travel, half_arc)
+        place = Point(normal, directed, travel, half_arc)
         return Contact(volume, overlap, root, deepest, *self.position(*normal), place)
 
     def in_columns(self, contact, column):

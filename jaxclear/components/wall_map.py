@@ -183,12 +183,29 @@ class WallMap(AbstractSurface):
         """Whether a place along the guide [m] is on the walls."""
         return jnp.abs(place - self.middle) <= 0.5 * self.length
 
-    def contact(self, volume, features):
-        middle, square, fall, indentation, side, end = features
+    def footprint(self, features):
+        middle, _, _, _, side, end = features
+        face, half = self._face(features)
+        first, last = face.ends
+        far = face.slope * (last - first)
+        # Where the middle of the pressure lies along the face.
+        beyond = far / (6.0 * (2.0 * (face.depth - face.slope * first) - far))
+        centre = first + (last - first) * (0.5 - beyond)
+        places = jnp.stack([middle, half, centre, last - first]) / self.cell
+        return jnp.concatenate([places, jnp.stack([side, end]) * self.cells[1]])
+
+    def _face(self, features: Array) -> tuple[Face, Array]:
+        """(how the face overlaps an unworn wall, half of its way [m]) in a loss."""
+        middle, square, fall, indentation, _, _ = features
         half = jnp.sqrt(_half_path_squared(middle, square) + (SHORTEST_PATH * self.cell) ** 2)
         slope = fall / self.face
         least = LEAST_CELLS * self.cell * positive_part(slope) + LEAST_OVERLAP * self.clearance
-        face = Face(jnp.maximum(indentation, least), slope, self.face)
+        return Face(jnp.maximum(indentation, least), slope, self.face), half
+
+    def contact(self, volume, features):
+        middle, _, fall, _, side, end = features
+        face, half = self._face(features)
+        slope = face.slope
         deepest = face.depth + positive_part(-fall)
         overlap = self.breadth * (face.overlap() + 2.0 * half * deepest)
         root = self.breadth * face.share(0.0, self.face)

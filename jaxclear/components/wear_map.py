@@ -108,6 +108,18 @@ class AbstractWearMap(AbstractQuantified):
         """
         return 0.0
 
+    def footprint(self, features: Float[Array, " n"]) -> Array | None:
+        """Which cells a contact wears in an event: events whose footprints are the same to a part
+        of a cell wear a surface as one event of their whole volume.
+
+        Args:
+            features: location features of the event, an array (n,).
+
+        Returns:
+            places and sizes [cells], an array; None (default) where no events are alike.
+        """
+        return None
+
     def over_three(self, depth: Float[Array, "around along"]) -> Float[Array, "around along"]:
         """Mean depth over each cell and its neighbours, three to a side; beyond the last row the
         depth is that of the row. Of a map of one cell its depth.
@@ -188,6 +200,9 @@ class AreaMap(AbstractWearMap):
 
     def areas(self):
         return jnp.full(self.cells, 1.0) * self.area
+
+    def footprint(self, features):
+        return jnp.zeros(0)
 
     def deposit(self, depth, volume, features):
         return depth + jnp.sum(volume) / self.area

@@ -214,7 +214,27 @@ class Check(AbstractCheck):
         'the deepest scar of joint "{place}" is hardly wider than a cell, its depth underestimated '
         "({figure:.2g}, limit {limit:g}): give its Wearing more cells",
     )
+    WEAR_AT_SAVES = (
+        34,
+        "path between updates of wear",
+        1.0,
+        "worn depth",
+        SURFACES,
+        'contacts of joint "{place}" move by {figure:.2g} cells in the mean (limit {limit:g}) from '
+        "one saving time to the next, and a run whose steps are counted wears at these alone: save "
+        "more often",
+    )
     # What the model leaves out.
+    BOTH_WORN = (
+        35,
+        "wear of both parts",
+        0.05,
+        "worn depth",
+        SURFACES,
+        'both parts of joint "{place}" wear at one place, and each faces the other worn evenly: '
+        "its scar is too narrow, and up to {figure:.2g} of its depth too deep (limit {limit:g}); "
+        "let one part wear by the coefficients of both",
+    )
     COULOMB_FRICTION = (
         25,
         "friction as Coulomb's",

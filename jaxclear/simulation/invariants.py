@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from jaxclear.components.surface import AbstractRound
 from jaxclear.components.wear_map import AbstractWearMap
 from jaxclear.formulations.base import AbstractFormulation
 from jaxclear.formulations.model import Instant, Model
@@ -67,7 +68,7 @@ from jaxclear.simulation.model_limits import (
     sliding_bearings,
     uncollared_bearings,
 )
-from jaxclear.simulation.wear import Worn
+from jaxclear.simulation.wear import Worn, losses, losses_between
 
 # Saved states of a run, at most, that are looked at: a loop that has come open stays so for long.
 MOST = 50
@@ -135,7 +136,13 @@ def look_at_run(history: StateHistory, model: Model) -> Looks:
     return Looks(intervals, *constant((history, model)))
 
 
-def judged(trajectory: Trajectory, model: Model, initial: Worn, residual: Any = None) -> Trajectory:
+def judged(
+    trajectory: Trajectory,
+    model: Model,
+    initial: Worn,
+    residual: Any = None,
+    steps_are_counted: bool = False,
+) -> Trajectory:
     """The run with its checks; it ends early where one of them calls for it.
 
     Args:
@@ -143,11 +150,15 @@ def judged(trajectory: Trajectory, model: Model, initial: Worn, residual: Any = 
         model: of the run.
         initial: depth maps [m] at its start.
         residual: that of the laws for which steps solve (None: they solve for none).
+        steps_are_counted: whether surfaces wear at the saving times alone.
     """
     history = trajectory.history
     looks, ends = look_at_run(history, model), jnp.asarray(history.time)[1:]
     figures, of_run, verdict = _figures_of_looks(looks)
     of_run |= wear_by_cells(model, initial, trajectory.worn)
+    of_run |= wear_of_both_parts(model, history.states, trajectory.worn)
+    if steps_are_counted:
+        of_run |= path_between_saves(model, history.states)
     if residual is not None:
         of_run[Check.LAW_RESIDUAL] = jnp.atleast_1d(residual)
     if trajectory.extremes is not None and trajectory.extremes.contacts:
@@ -399,6 +410,69 @@ def wear_by_cells(model: Model, initial: Worn, ended: Worn) -> Figures:
             shares[joint, surface] = jnp.where(jnp.any(depth > before), share, 0.0)
     places = [shares[slot.bearing, slot.surface] for slot in model.layout.wear]
     return {Check.WEAR_BY_CELLS: jnp.stack(places)}
+
+
+def wear_of_both_parts(model: Model, states: Array, ended: Worn) -> Figures:
+    """By which share of its depth each scar may be too deep because its joint's other part, which
+    wears at the same place, is taken to wear evenly all round; nothing where one part wears.
+
+    Parts that conform wear as if both losses were one scar, whose depth goes with the power 2/3 of
+    its volume (a line contact, `tests/rigs/worn_scar.py`; of a point more). Scars are as alike as
+    they are long beside the circumference, and wear shapes them where it is deep beside the
+    contact's indentation.
+
+    Args:
+        model: of the run.
+        states: saved, shape (time, n).
+        ended: depth maps [m] at its end, by joint and surface.
+    """
+    pairs = {
+        joint: surfaces
+        for joint, surfaces in wear_maps(model.system).items()
+        if len(surfaces) > 1 and all(isinstance(m, AbstractRound) for m, _ in surfaces.values())
+    }
+    if not any(slot.bearing in pairs for slot in model.layout.wear):
+        return {}
+    states, ended = jax.lax.stop_gradient((states, ended))
+    lost, shares = losses(model.layout, states[0], states[-1]), {}
+    for joint, surfaces in pairs.items():
+        areas = {surface: wear_map.areas() for surface, (wear_map, _) in surfaces.items()}
+        worn = {surface: jnp.sum(ended[joint][surface] * area) for surface, area in areas.items()}
+        deepest = {surface: jnp.max(ended[joint][surface]) for surface in surfaces}
+        extents = jnp.stack(
+            [safe_divide(worn[s], deepest[s] * jnp.sum(area)) for s, area in areas.items()]
+        )
+        alike = safe_divide(jnp.min(extents), jnp.max(extents)) * (1.0 - jnp.max(extents))
+        for surface, (wear_map, _) in surfaces.items():
+            volumes, places = lost[joint, surface]
+            place = safe_divide(volumes @ places, jnp.sum(volumes))
+            depth = sum(deepest.values())
+            elastic, scar = (wear_map.cells_per_contact(place, d)[0] for d in (0.0, depth))
+            share = worn[surface] / sum(worn.values())
+            figure = alike * (1.0 - (scar / elastic) ** 2) * (1.0 - jnp.cbrt(share))
+            shares[joint, surface] = jnp.where(jnp.sum(volumes) > 0, figure, 0.0)
+    slots = model.layout.wear
+    return {Check.BOTH_WORN: sp.stack([shares.get((s.bearing, s.surface), 0.0) for s in slots])}
+
+
+def path_between_saves(model: Model, states: Array) -> Figures:
+    """The mean path of each contact on the surface that it wears from one saving time to the next
+    [cells], as what it loses there weighs it.
+
+    Args:
+        model: of the run.
+        states: saved, shape (time, n).
+    """
+    if not model.layout.wear:
+        return {}
+    maps, means = wear_maps(model.system), {}
+    for (joint, surface), lost in losses_between(model.layout, constant(states)).items():
+        volumes, places = lost
+        paths = jax.vmap(jax.vmap(maps[joint][surface][0].path))(places)
+        paths = jnp.where(volumes > 0, jnp.broadcast_to(paths, volumes.shape), 0.0)
+        means[joint, surface] = safe_divide(jnp.sum(volumes * paths), jnp.sum(volumes))
+    slots = model.layout.wear
+    return {Check.WEAR_AT_SAVES: jnp.stack([means[s.bearing, s.surface] for s in slots])}
 
 
 def narrowness(

@@ -187,7 +187,9 @@ def run(
     extremes = extremes_of(mechanism, model, last)
     ends = history, last.worn, last.outcome, last.ended, stats
     residual = integrator.law_residual(model, last.warm_start)
-    return judged(Trajectory(*ends, extremes=extremes, noted=noted), model, worn, residual)
+    finished = Trajectory(*ends, extremes=extremes, noted=noted)
+    is_counted = integrator.steps_between_saves is not None
+    return judged(finished, model, worn, residual, is_counted)
 
 
 def extremes_of(mechanism: Mechanism, model: Model, last: Carry) -> Extremes | None:

@@ -146,6 +146,7 @@ def test_a_cluster_whose_workers_have_not_joined_is_waited_for(tmp_path, monkeyp
         assert jc.campaign(problem(), 100, folder=tmp_path, client=client).is_complete
 
 
+@pytest.mark.usefixtures("optimised_kernels")
 def test_a_mechanism_travels_to_workers(tmp_path):
     distributed = pytest.importorskip("distributed")
     from jaxclear.commands.four_bar import problem as four_bar

@@ -326,7 +326,8 @@ def test_a_life_is_a_response_as_any_other(tmp_path, monkeypatch):
     hardness, load = found.values.T
     way = 2 * np.pi * (RADIUS + 0.5 * load / STIFFNESS)
     wanted = 1e-5 * 2 * np.pi * RADIUS * LENGTH * hardness / (1e-5 * load * way)
-    np.testing.assert_allclose(found.responses["life"], wanted, rtol=1e-4)
+    # Cells are as deep as their mean to a few 1e-4, in the few losses in which they are worn.
+    np.testing.assert_allclose(found.responses["life"], wanted, rtol=3e-4)
     assert np.all(found.responses["sure"] < found.responses["life"])
     assert found.problem.units()["life"] == "cycles" and np.ptp(wanted) > 0.01 * wanted[0]
     assert found.rerun(1).until("depth", 1e-5).cycles == found.responses["life"][1]
@@ -367,7 +368,7 @@ ONE = Cells((slice(0, 1),), np.ones(1))
 
 def alone(evaluate):
     """A machine of one cell, worn in proportion to its losses."""
-    one = lambda job: job.row + sum(n * rate.wear for n, rate in job.losses)
+    one = lambda job: job.row + job.share * sum(n * rate.wear for n, rate in job.losses)
     carry = lambda jobs: [one(job) for job in jobs]
     machine = Machine(evaluate, carry, ONE)
     return machine, Node.first(np.zeros(2), evaluate(np.zeros(2)), ONE)

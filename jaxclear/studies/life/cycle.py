@@ -40,6 +40,7 @@ from jaxclear.simulation.initial_state import Past, beginning
 from jaxclear.simulation.loop import run
 from jaxclear.simulation.singular_positions import diagnosed
 from jaxclear.simulation.wear import Losses, Worn, losses_between, unworn, worn_by
+from jaxclear.studies.life.losses import Footprints, footprints
 from jaxclear.studies.problem import Problem
 from jaxclear.studies.run_experiment import RunExperiment
 
@@ -51,10 +52,6 @@ SAME_PLACE = 1e-5
 # Parts of a cycle after which drives are looked at: no drive repeats after a ratio of Fibonacci
 # numbers that does not repeat throughout.
 LOOKS = (0.0, 2 / 13, 3 / 8, 8 / 13, 7 / 8)
-# Power by which the parts of a step are shorter towards its end (a graded mesh).
-GRADING = 2
-# Places that so follow upon each other lie as evenly as they can, however many they are.
-GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
 # Beyond so many cycles one more is no other number in double precision.
 MOST_CYCLES = 2.0**53
 
@@ -62,9 +59,9 @@ MOST_CYCLES = 2.0**53
 class Cycle(eqx.Module):
     """What is kept of a cycle: the motion at its `end`, by joint and surface the worn
     depth [m] (`wore`) and the worn `volumes` [m3], the depth of a fourth of its saving times alone
-    (`wore_by_fourths`), the `losses` from one saving time to the next, the problem's `responses`,
-    the relative `changes` between its two ends, how its run ended (`outcome`) and when [s], and its
-    `checks`. Arrays on the host.
+    (`wore_by_fourths`), the `losses` from one saving time to the next and which cells they wear
+    (`footprints`), the problem's `responses`, the relative `changes` between its two ends, how its
+    run ended (`outcome`) and when [s], and its `checks`. Arrays on the host.
     """
 
     end: SavedMotion
@@ -72,6 +69,7 @@ class Cycle(eqx.Module):
     volumes: dict[str, dict[str, Array]]
     wore_by_fourths: Worn
     losses: Losses
+    footprints: Footprints
     responses: dict[str, Array]
     changes: dict[str, Array]
     outcome: Int[Array, ""]
@@ -128,12 +126,14 @@ def _simulate_cycle(request: Request, begin: SavedMotion, worn: Worn) -> tuple[C
     model = trajectory.history.model()
     system, layout = model.system, model.layout
     rare = losses_between(layout, trajectory.states, FOURTH)
+    losses = losses_between(layout, trajectory.states)
     result = Cycle(
         end,
         jax.tree.map(lambda after, before: after - before, trajectory.worn, worn),
         volumes(trajectory),
         jax.tree.map(lambda after, before: after - before, worn_by(system, worn, rare), worn),
-        losses_between(layout, trajectory.states),
+        losses,
+        footprints(system, losses),
         {name: jnp.asarray(f(trajectory), float) for name, f in request.response.items()},
         relative_changes(trajectory.history),
         trajectory.outcome,
@@ -159,45 +159,6 @@ def cycle(request: Request, begin: SavedMotion, worn: Worn) -> tuple[Cycle, Traj
         trajectory = diagnosed(trajectory)
     result = dataclasses.replace(result, outcome=trajectory.outcome)
     return jax.tree.map(np.asarray, result), trajectory
-
-
-def _worn_by_cycles(
-    request: Request, worn: Worn, losses: Losses, lengths: Any, parts: Any, cycles: Any
-) -> Worn:
-    """Depth maps after so many (`lengths`) of each of some cycles, whose `losses` have an axis of
-    cycles in front (the first so many of them count), in so many `parts`, the shorter the nearer
-    they are to the end: of the former ones walls forget. In each part the cycles go by in their
-    order and backwards, from another place on than in the one before, so that no loss of a cycle
-    comes before the others. All but `request` and `cycles` have an axis of jobs in front, which are
-    worn side by side."""
-    system = model_of(request.mechanism, request.integrator.formulation).system
-    saves = len(request.times) - 1
-
-    def put_on(turn, worn):
-        part, order = turn // (2 * cycles), turn % (2 * cycles)
-        which = jnp.minimum(order, 2 * cycles - 1 - order)
-        begin = jnp.floor(saves * (part * GOLDEN % 1.0)).astype(int)
-
-        def one_job(worn, losses, lengths, parts):
-            ends = (1.0 - part / parts) ** GRADING, (1.0 - (part + 1) / parts) ** GRADING
-            share = jnp.where(part < parts, 0.5 * (ends[0] - ends[1]) * lengths[which], 0.0)
-
-            def rotate(rows):
-                rows = jnp.roll(rows[which], -begin, axis=0)
-                return jnp.where(order < cycles, rows, rows[::-1])
-
-            deposited: Losses = {
-                surface: (share * rotate(volumes), rotate(places))
-                for surface, (volumes, places) in losses.items()
-            }
-            return worn_by(system, worn, deposited)
-
-        return jax.vmap(one_job)(worn, losses, lengths, parts)
-
-    return jax.lax.fori_loop(0, 2 * cycles * jnp.max(parts), put_on, worn)
-
-
-worn_by_cycles = compiled_quickly(_worn_by_cycles, AROUND_A_KERNEL)
 
 
 def kind_of_cycle(request: Request, begin: SavedMotion, worn: Worn) -> Cycle:

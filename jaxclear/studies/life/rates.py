@@ -26,11 +26,11 @@ from jaxclear.studies.life.cycle import (
     cycle_request,
     first_state,
     kind_of_cycle,
-    worn_by_cycles,
     worst_of,
 )
+from jaxclear.studies.life.losses import Merged, merge, side_by_side, wear_in_parts
 from jaxclear.studies.life.settling import Patience, Settling, settle
-from jaxclear.studies.life.steps import Cells, CycleFailed, Job, Rate
+from jaxclear.studies.life.steps import PARTS, Cells, CycleFailed, Job, Rate
 from jaxclear.studies.problem import Problem
 from jaxclear.studies.store.batch import as_arrays, as_tree
 from jaxclear.studies.store.digest import in_texts
@@ -40,8 +40,10 @@ from jaxclear.studies.store.store import CURRENT, compute_address
 NARROW = (Check.WEAR_BY_CELLS,)
 # So many times the way between two surfaces a line is carried on at the most.
 FURTHEST = 4.0
-# Numbers in a vector register of the widest, and cycles of a job: fewer compile no program anew.
-LANES, LEAST_CYCLES = 8, 4
+# Numbers in a vector register of the widest.
+LANES = 8
+# Losses whose contacts lie within such a part of a cell are one where a step has the fewest parts.
+ALIKE = 0.25
 
 
 class Rates:
@@ -97,35 +99,28 @@ class Rates:
                     )
 
     def carry(self, jobs: Sequence[Job]) -> list[np.ndarray]:
-        """Of each job what is left of its depths by its losses (`worn_by_cycles`). Several are worn
+        """Of each job what is left of its depths by its losses (`wear_in_parts`). Several are worn
         in the lanes of one kernel, which take little longer than two of them alone."""
         if len(jobs) == 2:
             return [row for job in jobs for row in self.carry([job])]
-        # One program for many numbers of jobs and of cycles.
+        # One program for many numbers of jobs.
         spare = -len(jobs) % LANES if len(jobs) > 1 else 0
         padded = [*jobs, *[jobs[0]._replace(parts=0)] * spare]
-        cycles = [
-            [
-                (length / len(rate.settled.taken), one.losses)
-                for length, rate in job.losses
-                for one in rate.settled.taken
-            ]
-            for job in padded
-        ]
-        count = max(map(len, cycles))
-        width = max(2 ** (count - 1).bit_length(), LEAST_CYCLES)
-        cycles = [some + [(0.0, some[0][1])] * (width - len(some)) for some in cycles]
-        lengths, losses = _stack([_stack(some) for some in cycles])
+        merged: dict[tuple[int, int], Merged] = {}
+        for job in jobs:
+            if _losses_of(job) not in merged:
+                merged[_losses_of(job)] = _merge_losses(job)
+        shares = [(job.share, merged[_losses_of(job)]) for job in jobs]
+        losses, counts = side_by_side([*shares, *shares[:1] * spare])
         parts = np.array([job.parts for job in padded])
         worn = _stack([self.unflat(job.row[: self.count]) for job in padded])
-        worn = worn_by_cycles(self.request, worn, losses, lengths, parts, np.asarray(count))
+        worn = wear_in_parts(self.request, worn, losses, counts, parts)
         maps = [np.reshape(depths, (len(padded), -1)) for depths in jax.tree.leaves(worn)]
         means = self.cells.means
+        lost = [sum(n * means(rate.wear) for n, rate in job.losses) for job in jobs]
         return [
-            np.concatenate(
-                [row, means(job.row) + sum(n * means(rate.wear) for n, rate in job.losses)]
-            )
-            for row, job in zip(np.concatenate(maps, axis=1), jobs, strict=False)
+            np.concatenate([row, means(job.row) + job.share * some])
+            for row, job, some in zip(np.concatenate(maps, axis=1), jobs, lost, strict=False)
         ]
 
     def halves(self, rate: Rate) -> tuple[Rate, Rate] | None:
@@ -166,6 +161,21 @@ class Rates:
             return compute()
         address = compute_address(self.question, flattened((motion, worn))[0])
         return store.obtain(address, lambda: as_tree(self.kind, store.load(address)), compute, True)
+
+
+def _losses_of(job: Job) -> tuple[int, int]:
+    """What jobs have in common whose losses are the same but for their share."""
+    return id(job.losses), job.parts
+
+
+def _merge_losses(job: Job) -> Merged:
+    """The losses of a job, but for its share."""
+    cycles = [
+        (length / len(rate.settled.taken), one.losses, one.footprints)
+        for length, rate in job.losses
+        for one in rate.settled.taken
+    ]
+    return merge(cycles, ALIKE * PARTS / job.parts)
 
 
 def _stack(trees: Sequence[Any]) -> Any:
