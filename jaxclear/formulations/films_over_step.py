@@ -252,7 +252,7 @@ def unit_vector(size: int, index: int) -> list:
 
 
 def with_films(
-    forces: Forces, films: tuple[FilmOverStep, ...], pushes: list[tuple], rates: list[tuple]
+    forces: Forces, films: tuple[FilmOverStep, ...], pushes: tuple, rates: tuple
 ) -> Forces:
     """The forces with the mean ones of films and the power that these dissipate.
 

@@ -160,15 +160,10 @@ def blank_start(model: Model) -> WarmStart:
 class PerKind(NamedTuple):
     """Values of the laws over a step, one a law, by the kind of the law."""
 
-    contacts: list[tuple]
-    joints: list[tuple]
-    springs: list[tuple]
-    films: list[tuple]
-
-    @property
-    def others(self) -> list[tuple]:
-        """Those of `Step.others`."""
-        return [*self.joints, *self.springs, *self.films]
+    contacts: tuple
+    joints: tuple
+    springs: tuple
+    films: tuple
 
 
 class Step(NamedTuple):
@@ -203,7 +198,7 @@ class Step(NamedTuple):
         """One value per row, as one tuple for each of the laws."""
         by_law = split(values, [len(law.reaches) for law in self.laws])
         kinds = self.contacts, self.joints, self.springs, self.films
-        return PerKind(*map(list, split(by_law, [len(kind) for kind in kinds])))
+        return PerKind(*split(by_law, [len(kind) for kind in kinds]))
 
 
 def step(
@@ -358,12 +353,11 @@ def _linear_laws(step: Step, rates: list, forces: list) -> LinearLaws:
     def linear(laws, rates, forces):
         return tuple(law.linear(*about) for law, *about in zip(laws, rates, forces, strict=True))
 
-    values = map(step.per_law, (rates, forces))
-    about, others = zip(*((each.contacts, each.others) for each in values), strict=True)
-    contacts = (by_joint(step.model.system, each) for each in (step.contacts, *about))
-    calls = list(zip(*contacts, strict=True))
+    by_kind = step.per_law(rates), step.per_law(forces)
+    contacts = step.contacts, *(values.contacts for values in by_kind)
+    calls = list(zip(*(by_joint(step.model.system, each) for each in contacts), strict=True))
     result = [each for joint in map_grouped(linear, calls) for each in joint]
-    result += linear(step.others, *others)
+    result += linear(step.others, *(sum(values[1:], ()) for values in by_kind))
     return LinearLaws(*([x for laws in result for x in laws[part]] for part in range(3)))
 
 

@@ -244,8 +244,7 @@ def compared(
             out, floats, moved = jax.vmap(one)(shares)
             nominal, floats = jax.tree.map(lambda each: each[0], (out, floats))
             still = jax.tree.map(lambda each: np.zeros(each.shape, jax.dtypes.float0), floats)
-            nominal_result = eqx.combine(nominal, floats)
-            verdict = judged(nominal_result, moved, ratios, _least(*both), smallest)
+            verdict = judged(eqx.combine(nominal, floats), moved, ratios, _least(*both), smallest)
             return (nominal, floats), (verdict, still)
 
         nominal = jax.custom_jvp(at_share, nondiff_argnums=(0,))
@@ -323,25 +322,20 @@ def refuse_run(
     """
     largest = lambda each, axis=None: jnp.max(abs(each), axis=axis, initial=0.0)
 
-    def judge_with(share, tangents, numbers):
-        def one(each, number):
-            return refuse_steps(each, ratios, largest(each[0]), share * least * largest(number))
+    def judge(share, each, number):
+        return refuse_steps(each, ratios, largest(each[0]), share * least * largest(number))
 
-        return jax.tree.map(one, tangents, numbers)
-
-    numbers = eqx.filter(run, eqx.is_inexact_array)
-    judged = judge_with(shares[0], tangents, numbers)
-    peaks = judge_with(max(shares), tangents.extremes, numbers.extremes)
+    numbers, peaks = eqx.filter(run, eqx.is_inexact_array), functools.partial(judge, max(shares))
+    judged = jax.tree.map(functools.partial(judge, shares[0]), tangents, numbers)
+    peaks = jax.tree.map(peaks, tangents.extremes, numbers.extremes)
     topology = run.mechanism.topology
     n, m = topology.coordinate_count, topology.speed_count
 
     def largest_of_kind(size):
         """A coordinate that is 0 is one among others; what a run sums up is in its own units."""
         kinds = jnp.split(size, (n, n + m), axis=-1)
-        whole = lambda kind: jnp.broadcast_to(
-            jnp.max(kind, axis=-1, keepdims=True, initial=0.0), kind.shape
-        )
-        return jnp.concatenate([*map(whole, kinds[:2]), kinds[2]], axis=-1)
+        kinds[:2] = [jnp.zeros_like(kind) + largest(kind, -1)[..., None] for kind in kinds[:2]]
+        return jnp.concatenate(kinds, axis=-1)
 
     states = tangents.history.states
     nominal = abs(states[0])
@@ -349,9 +343,5 @@ def refuse_run(
     scale = jnp.maximum(scale, shares[1] * largest_of_kind(scale))
     size = shares[0] * least * largest_of_kind(largest(run.history.states, 0))
     states = refuse_steps(states, ratios, scale, size)
-    return eqx.tree_at(
-        lambda run: (run.history.states, run.extremes),
-        judged,
-        (states, peaks),
-        is_leaf=lambda each: each is None,
-    )
+    places = lambda run: (run.history.states, run.extremes)
+    return eqx.tree_at(places, judged, (states, peaks), is_leaf=lambda each: each is None)

@@ -401,22 +401,17 @@ def _steps(experiment: RunExperiment, _: Any) -> tuple[Any, Any]:
     return experiment.integrator.requested_step(), experiment.shares * experiment.duration
 
 
-def _guard(
-    peaks: set[str],
-    result: SampleResult,
-    tangents: SampleResult,
-    ratios: Array,
-    least: Any,
-    shares: tuple,
-) -> SampleResult:
+def _guard(peaks, result, tangents, ratios, least, shares) -> SampleResult:
     """Derivatives of what is answered; those of responses are nan where steps decide them.
     `peaks`: names of responses that lie between steps."""
-    responses = {}
-    for name, tangent in tangents.responses.items():
+
+    def judge(name, tangent):
         share = max(shares) if name in peaks else shares[0]
         smallest = share * least * abs(result.responses[name])
-        responses[name] = refuse_steps(tangent, ratios, abs(tangent[0]), smallest)
+        return refuse_steps(tangent, ratios, abs(tangent[0]), smallest)
+
     moves = jax.tree.map(lambda each: each[0], tangents)
+    responses = {name: judge(name, tangent) for name, tangent in tangents.responses.items()}
     return SampleResult(responses, moves.outcome, moves.ended, moves.checks)
 
 
