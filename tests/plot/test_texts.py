@@ -236,7 +236,7 @@ def designed(cost=0.0123):
         tolerances={CLEARANCE: 1.1e-12, SPEED: 3e-12},
         excess=np.array([0.02, -0.4]),
         allowed_excess=0.01,
-        rounds=[SimpleNamespace(check=check)],
+        round=SimpleNamespace(check=check),
         history=lambda: history,
         sentence=lambda: f"Cost {1e6 * cost:.6g}. {said}",
         holds=cost > 1,

@@ -212,8 +212,7 @@ def test_a_share_is_told_beside_lives_that_are_smaller_and_no_infinite_error_is_
     found = np.ones((2, 1 + GROUPS, 2))
     found[0, 3, 0] = np.inf
     verifier = Verifier(question_of(lasting, share, share), None, 0)
-    alike, codes = [np.zeros(64)] * 2, np.zeros(64, np.int64)
-    nothing = alike, np.zeros((64, 1)), np.ones(64, bool), codes
+    nothing = [np.zeros(64)] * 2, np.zeros((64, 1)), np.ones(64, bool)
     assert verifier._make_check(found, *nothing).errors.tolist() == [np.inf, 0.0]
 
 

@@ -156,7 +156,9 @@ def test_they_are_told_in_print_and_below_the_histogram(study, capsys):
 def test_a_figure_of_warned_infinite_answers_says_that_there_is_no_mean():
     row = {"response": "life", "unit": "cycles", "warned": 3, "mean": np.nan, "infinite": 1}
     table, responses = pandas.DataFrame([row]), {"life": np.array([1.0, np.inf])}
-    told = SimpleNamespace(warned=[0], responses=responses, sentence=str, accuracy_warnings=())
+    told = SimpleNamespace(
+        warned=[0], responses=responses, count_sentence=str, accuracy_warnings=()
+    )
     told.summary = lambda: table
     table["mean, samples without warnings"] = np.nan
     said = _warned_samples(told)[-1]

@@ -19,7 +19,7 @@ from jaxclear.studies.infinite_responses import has_answer
 from jaxclear.studies.monte_carlo import MonteCarlo
 from jaxclear.studies.problem import Problem
 from jaxclear.studies.statistics.limits import Limits, check_limits
-from jaxclear.studies.statistics.summary import summary_of, summary_row
+from jaxclear.studies.statistics.summary import spread_in_words, summary_of, summary_row
 from jaxclear.studies.store.batch import VALUES
 from jaxclear.studies.store.dataset import dataset_of
 from jaxclear.studies.store.digest import difference, first_difference, in_texts
@@ -162,13 +162,15 @@ class Campaign:
         return write_csv(self.to_dataset(), path)
 
     def sentence(self) -> str:
-        """How many samples are finished, failed and warned, and of what."""
+        """Mean and standard deviation of each response with their 95 % errors, and how many samples
+        are finished, failed and warned, and of what."""
         if not self.finished:
             return f"None of {self.count} samples is finished yet."
         first, *others = self.problem.response_names
-        return self._reduced_study(
+        counted = self._reduced_study(
             first, *filter(lambda name: self.problem.description.responses[name].infinite, others)
-        ).sentence()
+        )
+        return " ".join([*spread_in_words(self.summary()), counted.count_sentence()])
 
     def __str__(self) -> str:
         return self.sentence()
