@@ -145,6 +145,10 @@ class Setting(eqx.Module):
         return subject
 
 
+# Samples of a batch where each costs next to nothing.
+NEGLIGIBLE = 1024
+
+
 class Cost(NamedTuple):
     """What a sample costs.
 
@@ -163,6 +167,12 @@ class Cost(NamedTuple):
     compiled: bool = True
     cheap: bool = False
     idle: "AbstractExperiment | None" = None
+
+    @property
+    def is_negligible(self) -> bool:
+        """Whether so many are best computed together that its own slopes are searched, those of
+        thousands of samples at once; of others a surface takes fewer samples."""
+        return self.cheap and self.batch >= NEGLIGIBLE
 
 
 class ResponseInfo(NamedTuple):

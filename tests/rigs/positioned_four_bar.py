@@ -93,4 +93,5 @@ def designed(crank, **priced):
     at_most = follower_angle(crank) + ROOM
     limit = jc.limit.MeanAndDeviation("response", at_most=at_most, deviations=DEVIATIONS)
     costs = {n: jc.cost.Reciprocal(b) for n, b in zip(NAMES, PRICED, strict=True)}
-    return jc.design(problem, costs | priced, limit, tolerance=dict.fromkeys(NAMES, (1e-7, 1e-4)))
+    tolerance, settings = dict.fromkeys(NAMES, (1e-7, 1e-4)), jc.DesignSettings(surface=False)
+    return jc.design(problem, costs | priced, limit, tolerance=tolerance, settings=settings)

@@ -159,7 +159,7 @@ def _is_direct(problem: Problem, settings: DesignSettings) -> bool:
         )
     if settings.surface is not None:
         return not settings.surface
-    return problem.cost().cheap and not refused and not in_doubt
+    return problem.cost().is_negligible and not refused and not in_doubt
 
 
 def _make_runs(problem: Problem, settings: DesignSettings, show: bool) -> Runs:

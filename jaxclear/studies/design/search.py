@@ -57,8 +57,8 @@ class DesignSettings(AbstractQuantified):
     Args:
         allowed_excess: excess over a limit that is accepted, as a share of its size [1], > 0 and <
             1; 0.005 by default.
-        samples: number of points at which a surface, or a problem that answers at once, is
-            evaluated, >= 64; 2048 by default.
+        samples: number of points at which a surface, or a problem whose own slopes are
+            searched, is evaluated, >= 64; 2048 by default.
         check: number of runs of a verification, >= 16; 128 by default.
         runs: number of runs of a surface; None (default) for two for each term of a quadratic, at
             least 64.
@@ -66,8 +66,8 @@ class DesignSettings(AbstractQuantified):
         seed: seed of the random numbers; 0 by default.
         method: name of the optimiser: "slsqp", "optax" (augmented Lagrangian), or "auto" (default),
             which takes the latter for more than 40 free numbers.
-        surface: whether a response surface stands in for the problem; None (default): unless it
-            answers at once.
+        surface: whether a response surface stands in for the problem; None (default): unless it is
+            a `FunctionProblem`, whose own slopes are searched where it has them.
 
     Raises:
         ValueError: if a number is out of range or there is no such method.

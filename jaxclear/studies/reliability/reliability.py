@@ -97,9 +97,6 @@ def _run_and_count(model: RunModel, normal: np.ndarray) -> tuple[np.ndarray, Sam
 METHODS = ("form", "sorm", "importance", "subset")
 # Without a wish: subset simulation only where importance sampling does not do.
 USUAL = ("form", "sorm", "importance")
-# A problem of which so many samples are best computed together costs so little that its own slopes
-# are searched; of others a surface takes fewer runs.
-CHEAP = 1024
 # Regions that importance sampling looks at, at the most.
 MOST_REGIONS = 16
 
@@ -192,7 +189,7 @@ def _sample_at_points(
     trusted = fitted is not None and all(fitted.trusted(part.response) for part in limit.limits())
     control = SurfaceModel(fitted, limit) if fitted is not None and trusted else None
     proposal = Proposal.at([point.normal for point in points], [point.beta for point in points])
-    if control is not None or _is_cheap(model.problem):
+    if control is not None or model.problem.cost().is_negligible:
         proposal = _add_other_regions(control or model, proposal, settings)
         more = len(proposal.centres) - 1 - len(points)
         if more:
@@ -203,11 +200,6 @@ def _sample_at_points(
     else:
         notes.append("Whether parts fail away from the design points was not searched.")
     return importance(model, control, proposal, *settings)
-
-
-def _is_cheap(problem: Problem) -> bool:
-    cost = problem.cost()
-    return cost.cheap and cost.batch >= CHEAP
 
 
 def _add_other_regions(
@@ -250,7 +242,7 @@ def _find_design_points(
     cuts, variables = model.limit.cut_sets(), len(model.problem.names)
     hopeless = lambda: bool(reach.beyond())
     exact = not any(model.problem.description.derivative)
-    if surface is None and exact and _is_cheap(model.problem):
+    if surface is None and exact and model.problem.cost().is_negligible:
         return design_points(model, cuts, variables, seed, hopeless), None, []
     if surface is None:
         result, points, right = surface_where_it_fails(model, seed)
