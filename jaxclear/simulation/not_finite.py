@@ -101,10 +101,8 @@ def _of_stiff_couplings(trajectory: Trajectory) -> str:
         return ""
 
     def squares(now: Instant) -> dict[str, Any]:
-        system, free = (
-            now.model.system,
-            free_motion(now.model, now.time, now.q, now.v, now.followed),
-        )
+        system = now.model.system
+        free = free_motion(now.model, now.time, now.q, now.v, now.followed)
         out: dict[str, Any] = {}
         for name, train in system.transmissions.items():
             row = twist_direction(now.motions, train).linear_rate(system, now.motions).row
