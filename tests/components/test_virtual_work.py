@@ -14,6 +14,7 @@ from jaxclear.laws.stiffness import fitted
 from jaxclear.multibody.contact_point import PointState, evaluate
 from jaxclear.multibody.loops import Relative
 from tests.components.test_ideal_joints import members
+from tests.rigs.cells import slow
 
 LAW = jc.contact.CarvalhoMartins(stiffness=1e9, restitution=0.7)
 SLIP = jc.friction.CoulombTanh(mu_kinetic=0.2, transition_speed=1e-3)
@@ -93,7 +94,7 @@ def test_every_clearance_joint_is_tested():
 
 @pytest.mark.parametrize(
     "friction",
-    [pytest.param(None, marks=pytest.mark.slow), SLIP],
+    [*slow(None), SLIP],
     ids=["frictionless", "friction"],
 )
 @pytest.mark.parametrize("name", sorted(joints(None)))
