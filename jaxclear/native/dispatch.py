@@ -78,7 +78,7 @@ def register_with_xla() -> Any:
         error=ERROR,
     )
     engine = object_code.compiled(text)
-    state = {
+    state: Any = {
         "type_id": _capsule(engine.get_global_value_address(f"{TARGET}.type")),
         "type_info": _capsule(engine.get_global_value_address(f"{TARGET}.info")),
     }
