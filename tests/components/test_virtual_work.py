@@ -92,11 +92,7 @@ def test_every_clearance_joint_is_tested():
     assert set(joints(None)) == {kind.__name__ for kind in members(AbstractClearance)}
 
 
-@pytest.mark.parametrize(
-    "friction",
-    [*slow(None), SLIP],
-    ids=["frictionless", "friction"],
-)
+@pytest.mark.parametrize("friction", [*slow(None), SLIP], ids=["frictionless", "friction"])
 @pytest.mark.parametrize("name", sorted(joints(None)))
 def test_power_of_the_wrench_is_the_power_of_the_contacts(name, friction):
     joint = joints(friction)[name]

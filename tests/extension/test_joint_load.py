@@ -54,10 +54,7 @@ INTEGRATORS = {
 }
 
 
-@pytest.mark.parametrize(
-    "rung",
-    slow_but(("fixed", "implicit"), INTEGRATORS),
-)
+@pytest.mark.parametrize("rung", slow_but(("fixed", "implicit"), INTEGRATORS))
 def test_a_film_carries_its_journal_and_every_report_contains_it(rung):
     integrator, near = INTEGRATORS[rung]
     run = jc.simulate(journal(), TIME, save=11, balance=True, integrator=integrator, verify=False)

@@ -94,10 +94,7 @@ def falls():
     return ends, exact
 
 
-@pytest.mark.parametrize(
-    "method",
-    slow_but(("implicit",), ORDERS),
-)
+@pytest.mark.parametrize("method", slow_but(("implicit",), ORDERS))
 def test_steps_converge_through_an_impact_at_their_order(method, falls):
     """Root of the mean square over the starts, because where in a step a touch falls is chance."""
     ends, exact = falls

@@ -118,10 +118,7 @@ def test_a_column_under_half_of_its_buckling_load():
     assert away[1] + (away[1] - away[0]) / 3 == pytest.approx(exact, rel=3e-3)
 
 
-@pytest.mark.parametrize(
-    "held",
-    ["clamped", *slow("pinned", "free")],
-)
+@pytest.mark.parametrize("held", ["clamped", *slow("pinned", "free")])
 def test_first_frequency(held):
     # Roots of cos(x) cosh(x) = -1, sin(x) = 0 and cos(x) cosh(x) = 1: Euler-Bernoulli beams.
     root = {"clamped": 1.8751040687, "pinned": np.pi, "free": 4.7300407449}[held]

@@ -59,10 +59,7 @@ def thrown(contact, friction):
     )
 
 
-@pytest.mark.parametrize(
-    "case",
-    slow_but(["hunt_crossley"], LAWS),
-)
+@pytest.mark.parametrize("case", slow_but(["hunt_crossley"], LAWS))
 def test_thrown_rod_bounces_as_in_exudyn(case):
     reference = REFERENCE["cases"][case]
     mu = jnp.asarray(reference["friction"])

@@ -295,10 +295,7 @@ def test_a_ring_that_turns_about_a_loaded_journal_wears_evenly_and_by_archard():
     np.testing.assert_allclose(depth, volume / (2 * math.pi * RADIUS * LENGTH), rtol=0.1)
 
 
-@pytest.mark.parametrize(
-    "cells",
-    [(24, 96), *slow(((48, 96),), ((288, 20),))],
-)
+@pytest.mark.parametrize("cells", [(24, 96), *slow(((48, 96),), ((288, 20),))])
 def test_a_socket_that_turns_about_a_loaded_ball_wears_hertz_contact_drawn_around(cells):
     """What its law presses by d under a load F, (F/K)^(2/3), is a contact of half the width a =
     R sqrt(d/c), whose pressure goes with sqrt(1 - (x^2 + y^2)/a^2). A turn draws it along x around
