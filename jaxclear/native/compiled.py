@@ -19,8 +19,10 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.experimental import serialize_executable
 from jax.extend.core import Jaxpr, Literal, jaxpr_as_fun
+from jaxlib.lapack import prepare_lapack_call
 
 from jaxclear.ground import cache_folder
 from jaxclear.ground.compiling import uncollected
@@ -361,7 +363,7 @@ def _load_from_disk(key: str) -> _Compiled | None:
 def _initialise_lapack() -> None:
     """jaxlib finds LAPACK when the first program that calls it is lowered, which one that is loaded
     is not."""
-    jax.jit(jnp.linalg.cholesky).lower(jnp.eye(2))
+    prepare_lapack_call("potrf_ffi", np.dtype(float))
 
 
 def compiled_for_kernels(function: Callable[..., Any]) -> Callable[..., Any]:
