@@ -23,11 +23,14 @@ from jaxclear.native import object_code
 
 # XLA reads them when it starts, which no import does. Of a program of one operation half the time
 # goes into compilers for fusions, which are set up anew for each program; level 0 has no
-# multiplication and addition in one, so sums end in other digits than those of kernels.
+# multiplication and addition in one, so sums end in other digits than those of kernels. A flag that
+# an XLA does not have ends its process; that of JAX 0.12 has no other emitters of fusions.
 LITTLE_OPTIMISED = (
     "--xla_backend_optimization_level=1 --xla_llvm_disable_expensive_passes=true "
-    "--xla_cpu_use_fusion_emitters=false --xla_cpu_parallel_codegen_split_count=1"
+    "--xla_cpu_parallel_codegen_split_count=1"
 )
+if jax.__version_info__ < (0, 12):
+    LITTLE_OPTIMISED += " --xla_cpu_use_fusion_emitters=false"
 # LLVM optimises a kernel three times as long as it writes its code.
 USERS_SPEED_LEVEL = object_code.SPEED_LEVEL
 object_code.SPEED_LEVEL = 0

@@ -72,7 +72,7 @@ def test_a_kernel_can_be_written(joint, rung, monkeypatch):
     if refused(rig, integrator):
         return
 
-    def write(program, lanes):
+    def write(program, lanes, _):
         kernel.text_of(program, lanes)
         written.append(program)
         raise Unsupported("a test")

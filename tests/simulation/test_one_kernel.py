@@ -44,9 +44,9 @@ def told(rung, saves=jc.Saving(7), scene=jc.scenes.slider_crank):
         figures = {check.name: figure.worst for check, figure in run.invariants.figures.items()}
         return run.states, figures, run.noted, run.accepted_steps, run.ended, run.outcome
 
-    def watched(program, lanes):
+    def watched(program, *rest):
         built.append(program)
-        return build(program, lanes)
+        return build(program, *rest)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(loop.kernels, "build", watched)
@@ -124,7 +124,7 @@ def test_surfaces_wear_within_the_one_kernel(rung, monkeypatch):
     save to save, with every surface worn at every saving time."""
     built, build = [], kernel.build
     monkeypatch.setattr(
-        loop.kernels, "build", lambda program, lanes: built.append(program) or build(program, lanes)
+        loop.kernels, "build", lambda program, *rest: built.append(program) or build(program, *rest)
     )
 
     def told():
