@@ -173,7 +173,10 @@ class Verified(AbstractVerification):
         return {"numerical errors": "; ".join(rows)}
 
     def _summary(self):
-        of = lambda t: "chaotic" if t.chaotic else "exceeded" if t.beyond else ""
+        exceeded = lambda t: "exceeded" if t.beyond else ""
+        # An error as large as the gap leaves open where in it a part is.
+        unknown = lambda t: "anywhere in the gap" if t.part == "gaps" and t.share >= 1 else ""
+        of = lambda t: "chaotic" if t.chaotic else unknown(t) or exceeded(t)
         table = self.table().drop(columns=["relative error", "tolerance"])
         for head in ("relative error", "tolerance"):
             parts = [100 * part for part in self.table()[head]]

@@ -43,7 +43,7 @@ from jaxtyping import Array, Float
 
 from jaxclear.ground.argument_errors import AnsweringMeta
 from jaxclear.ground.precision import check_double_precision, check_not_forked
-from jaxclear.ground.printing import AbstractShown, part_in_words
+from jaxclear.ground.printing import AbstractShown, in_part, part_in_words
 from jaxclear.ground.wording import described, final_members, offered_like, public_name
 
 # Things that a function of Python's encloses, of which no more are looked at.
@@ -407,6 +407,22 @@ def with_quantities(tree: Any) -> Any:
     return with_fields(tree, **values)
 
 
+class _NumbersAlone(eqx.Module):
+    """A function in which numbers alone are leaves: `jax.jit` and `jax.vmap` return it."""
+
+    numbers: Any
+    rest: Any = eqx.field(static=True)
+
+    def __call__(self, *args: Any) -> Any:
+        return eqx.combine(self.numbers, self.rest)(*args)
+
+
+def with_numbers_alone(tree: Any) -> Any:
+    """A tree in which each function is one of which numbers alone are leaves."""
+    close = lambda x: _NumbersAlone(*eqx.partition(x, eqx.is_array)) if callable(x) else x
+    return close(tree) if callable(tree) else jax.tree.map(close, tree)
+
+
 def is_tracing() -> bool:
     """Whether a program is being traced, whatever is known in it."""
     return isinstance(jax.lax.neg_p.bind(ANY), jax.core.Tracer)
@@ -647,7 +663,7 @@ def _iterate_numbers(tree, path, metadata):
             inner = f"{path}.{name}" if path else name
             value = getattr(tree, name)
             if isinstance(value, jax.Array):
-                yield inner, value, field_metadata
+                yield inner, value, in_part(tree, field_metadata)
             elif value is not None:
                 yield from _iterate_numbers(value, inner, field_metadata)
     elif isinstance(tree, dict):

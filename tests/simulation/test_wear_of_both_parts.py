@@ -13,6 +13,7 @@ from scipy.optimize import brentq
 import jaxclear as jc
 from jaxclear.integrators.checks import Check
 from tests.components.test_guides_that_wear import RUNGS, guide, to_and_fro
+from tests.rigs.cells import slow
 from tests.rigs.wearing_ring import wearing_ring
 from tests.rigs.worn_scar import LAW, LOAD, RADIUS, SPEED, TURN, crescent, depth_of, lost, scar
 
@@ -107,9 +108,7 @@ def tilted_slider(depth, wall=True):
     return run, lambda volume: math.sqrt(slope * volume / BREADTH)
 
 
-@pytest.mark.parametrize(
-    "kind", [pytest.param(swinging_ball, marks=pytest.mark.slow), tilted_slider]
-)
+@pytest.mark.parametrize("kind", [*slow(swinging_ball), tilted_slider])
 def test_balls_and_sliders_that_only_swing_say_how_much_too_deep_their_scars_are(kind):
     """As the pin; the area of a cap, and of a wedge, goes with its depth, so the share is more."""
     run, depth_of_scar = kind(20e-6)
@@ -148,7 +147,7 @@ def test_a_pin_that_turns_round_or_does_not_wear_says_nothing(journal):
 
 @pytest.mark.parametrize(
     ("saves", "steps", "around", "cells"),
-    [(19, 37, 36, 2.0), (73, 9, 36, 0.5), (301, 1, 576, 1.92)],
+    [(19, 37, 36, 2.0), *slow((73, 9, 36, 0.5)), (301, 1, 576, 1.92)],
 )
 def test_counted_steps_say_how_far_contacts_move_between_updates(saves, steps, around, cells):
     """A turn over so many cells; by one step, whose contact stands at one place, as by many."""
