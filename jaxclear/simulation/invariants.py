@@ -473,7 +473,8 @@ def path_between_saves(model: Model, states: Array) -> Figures:
     """
     if not model.layout.wear:
         return {}
-    maps, means = wear_maps(model.system), {}
+    maps = wear_maps(model.system)
+    means: dict[tuple[str, str], Any] = {}
     for every in range(1, min(len(states), 3)):
         for at, lost in losses_between(model.layout, constant(states), every).items():
             volumes, places = lost
