@@ -101,6 +101,15 @@ def few_programs():
         gc.collect()
 
 
+@pytest.fixture
+def young_garbage():
+    """Collections of garbage look at what the test has made: not at millions of objects of others,
+    at seconds each."""
+    gc.freeze()
+    yield
+    gc.unfreeze()
+
+
 @pytest.fixture(scope="module")
 def optimised_kernels():
     """Kernels are optimised as users' are."""

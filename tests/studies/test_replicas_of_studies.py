@@ -17,6 +17,7 @@ from jaxclear.studies.replicas import MOST_REPLICAS
 from jaxclear.studies.store import workers
 from jaxclear.studies.store.batch import evaluate_chunk
 from jaxclear.studies.store.store import CHUNKS
+from tests.rigs.cells import slow
 
 GRAVITY, DURATION, STEP = 9.81, 0.5, 5e-3
 # One program serves all that are run in chunks of this size.
@@ -81,7 +82,7 @@ def test_the_bias_of_euler_steps_is_that_of_the_closed_form(study):
     assert spread.bias == pytest.approx(STEP / DURATION * gravity[:16].std(ddof=1) / 8, rel=1e-6)
 
 
-@pytest.mark.parametrize("share", [0.5, 0.25])
+@pytest.mark.parametrize("share", [0.5, *slow(0.25)])
 def test_a_replica_has_that_share_of_the_steps_that_were_taken(share):
     """Saving times 0.1 s apart shorten steps of 0.03 s to 0.025 s."""
     problem = falling(integrator=jc.integrator.FixedStep(0.03, "semi_implicit"))
@@ -95,12 +96,14 @@ def test_a_replica_has_that_share_of_the_steps_that_were_taken(share):
 @pytest.mark.parametrize(
     "integrator",
     [
-        jc.integrator.FixedStep(STEP, "semi_implicit"),
-        jc.integrator.FixedStep(STEP, "heun"),
-        jc.integrator.FixedStep(5 * STEP),
+        *slow(
+            jc.integrator.FixedStep(STEP, "semi_implicit"),
+            jc.integrator.FixedStep(STEP, "heun"),
+            jc.integrator.FixedStep(5 * STEP),
+        ),
         jc.integrator.ImplicitStep(STEP),
         jc.integrator.FixedStep(steps_per_save=10, method="semi_implicit"),
-        jc.integrator.Adaptive(rtol=1e-5, atol=1e-7),
+        *slow(jc.integrator.Adaptive(rtol=1e-5, atol=1e-7)),
     ],
     ids=["semi_implicit", "heun", "rk4", "implicit", "counted", "adaptive"],
 )
