@@ -186,6 +186,8 @@ class Verified(AbstractVerification):
         how = f"Error estimate: {self._how_estimated()}. {self.why}".rstrip()
         if self.coarser is None and any(t.answer == "worn depth" for t in self.entries):
             how += "\nThat of worn depths is three times the change."
+        if any(t.part == "gaps" for t in self.entries):
+            how += "\nValues of places: of bodies the largest displacement, in a gap the clearance."
         peaks = {t.place: t.value for t in self.entries if t.part == "peak_force"}
         means = [t for t in self.entries if t.part == "mean_force"]
         if any(t.value > peaks.get(t.place, np.inf) for t in means):

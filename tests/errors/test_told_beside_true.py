@@ -112,8 +112,7 @@ RUNGS = {
 @pytest.mark.parametrize(
     ("law", "rung"),
     [
-        pytest.param(HERTZ, "fixed", marks=pytest.mark.slow),
-        pytest.param(HERTZ, "adaptive", marks=pytest.mark.slow),
+        *slow((HERTZ, "fixed"), (HERTZ, "adaptive")),
         (HERTZ, "implicit"),
         (STRANGERS, "adaptive"),
     ],

@@ -303,6 +303,7 @@ def test_a_place_that_is_off_by_the_gap_is_anywhere_in_it():
         numbers, none = np.array([[2e-4, error, error / 2e-4, 0.05]]), np.zeros(1, bool)
         shown = Verified((), numbers, none, None, np.zeros(()), REFERENCE, names, "shorter steps")
         assert ("anywhere in the gap" in str(shown)) is says
+        assert "in a gap the clearance." in str(shown)
 
 
 def odd():
