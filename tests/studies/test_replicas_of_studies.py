@@ -18,6 +18,7 @@ from jaxclear.studies.store import workers
 from jaxclear.studies.store.batch import evaluate_chunk
 from jaxclear.studies.store.store import CHUNKS
 from tests.rigs.cells import slow
+from tests.rigs.loaded_bearing import loaded_bearing
 
 GRAVITY, DURATION, STEP = 9.81, 0.5, 5e-3
 # One program serves all that are run in chunks of this size.
@@ -384,3 +385,15 @@ def test_a_bias_of_a_derivative_that_replicas_do_not_tell_is_said():
     assert found.error == found.estimates["regression"].error
     few = jc.sensitivity(falling(), sample=2, methods=("differences",), difference_samples=16)
     assert "± inf" in few.derivatives["way", "gravity"].verdict
+
+
+@pytest.mark.parametrize(
+    ("response", "says"),
+    [(jc.response.PeakWornDepth("B"), True), (jc.response.WornVolume("B"), False)],
+)
+def test_a_study_of_worn_depths_says_that_cells_are_not_refined(response, says):
+    rig = loaded_bearing(200.0, jc.friction.CoulombTanh(mu_kinetic=0.1))
+    varied = {"load": jc.Variable(lambda rig: rig.loads["load"].force, tolerance=20.0)}
+    steps = jc.integrator.FixedStep(1e-5)
+    problem = jc.Problem(rig, {"worn": response}, varied, duration=0.02, save=11, integrator=steps)
+    assert ("size of cells" in problem.description.remark) == says
