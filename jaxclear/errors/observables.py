@@ -219,11 +219,10 @@ def differences(
 
     Args:
         run: the one that is judged, which names joints and bodies.
-        one, other: what is observed of the two runs.
+        one, other: what is observed of the two runs, NumPy's numbers.
         finest: what is observed of the most accurate run, which scales the differences.
     """
-    one, other, finest = (Observables(*map(_as_arrays, each)) for each in (one, other, finest))
-    widest = 0.0 if one.rooms is None else float(np.max(np.asarray(one.rooms), initial=0.0))
+    widest = 0.0 if one.rooms is None else float(np.max(one.rooms, initial=0.0))
     arm = float(one.arm)
     shift, longest = (_largest_displacement(each.centres) for each in (one, finest))
     angle, most = (_largest_angle(each.axes, each.axes[:1]) for each in (one, finest))
@@ -257,13 +256,13 @@ def differences(
         for unit, least in (("N m", float(one.idle)), ("N", float(one.idle) / arm if arm else 0.0)):
             torque = unit == "N m"
             ks = [k for k, n in enumerate(names) if turns(run.mechanism, couplings[n]) == torque]
-            a, b, c = (np.asarray(getattr(x, f"{kind}_sent"))[ks] for x in (one, other, finest))
+            a, b, c = (getattr(x, f"{kind}_sent")[ks] for x in (one, other, finest))
             if ks:
                 places = [names[k] for k in ks]
                 rows += _by_place(f"{kind} transmitted", part, unit, places, a, b, c, least)
     if one.friction_loss is not None:
-        loss, less, last = (float(np.asarray(each.friction_loss)) for each in (one, other, finest))
-        scale = max(last, LEAST_LOSS * float(np.asarray(finest.turnover))) or max(loss, less)
+        loss, less, last = (float(each.friction_loss) for each in (one, other, finest))
+        scale = max(last, LEAST_LOSS * float(finest.turnover)) or max(loss, less)
         if max(loss, less) > 0:
             row = "friction loss", "losses", "", "J", loss, abs(loss - less), scale
             rows.append(Difference(*row))
@@ -286,23 +285,19 @@ def _largest_displacement(history: Any) -> float:
 
 def _largest_angle(one: Any, other: Any) -> float:
     """The largest angle [rad] between axes."""
-    squares = np.sum(np.square(np.asarray(one) - np.asarray(other)), axis=-1)
+    squares = np.sum(np.square(one - other), axis=-1)
     half = np.sqrt(np.max(squares, initial=0.0) / 8)
     return float(2 * np.arcsin(np.minimum(half, 1.0)))
-
-
-def _as_arrays(values: Any) -> Any:
-    return None if values is None else np.asarray(values)
 
 
 def _gap_differences(run: Trajectory, one: Observables, other: Observables) -> list[Difference]:
     if one.in_gaps is None:
         return []
-    off = np.max(np.abs(np.asarray(one.in_gaps) - np.asarray(other.in_gaps)), axis=(0, 2))
+    off = np.max(np.abs(one.in_gaps - other.in_gaps), axis=(0, 2))
     joints = list(run.formulation.contact_joints(run.mechanism))
-    names = [joints[int(owner)] for owner in np.asarray(one.owners)]
+    names = [joints[owner] for owner in one.owners]
     largest: dict[str, tuple[float, float]] = {}
-    for name, share, gap in zip(names, off, np.asarray(one.rooms), strict=True):
+    for name, share, gap in zip(names, off, one.rooms, strict=True):
         largest[name] = max(largest.get(name, (0.0, 0.0)), (float(share), float(gap)))
     return [
         Difference("places in the gap", "gaps", name, "m", gap, share * gap, gap)
@@ -336,4 +331,4 @@ def distance_in_gaps(one: Observables, other: Observables) -> Float[np.ndarray, 
     """By saving time how far parts are elsewhere in their gaps, beside these; 0 without gaps."""
     if one.in_gaps is None:
         return np.zeros(len(one.centres))
-    return np.max(np.abs(np.asarray(one.in_gaps) - np.asarray(other.in_gaps)), axis=(1, 2))
+    return np.max(np.abs(one.in_gaps - other.in_gaps), axis=(1, 2))

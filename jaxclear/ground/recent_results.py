@@ -27,8 +27,13 @@ class Key:
         """All of it; of numbers that are being traced there is none."""
         return (self.structure, *map(_hashable_leaf, self.leaves))
 
-    def __hash__(self) -> int:
+    @functools.cached_property
+    def hash(self) -> int:
+        """Looked up several times in each call."""
         return hash(self.key)
+
+    def __hash__(self) -> int:
+        return self.hash
 
     def __eq__(self, other: Any) -> bool:
         return self.key == other.key

@@ -72,8 +72,9 @@ def test_arguments_among_results_are_jaxs(searches):
 def test_runs_of_other_numbers_keep_no_memory(monkeypatch):
     """Equinox keeps what is copied or unpickled for ever, where its own `__new__` makes it."""
     counted = lambda: sum(type(each) in (jc.Mechanism, jc.Trajectory) for each in gc.get_objects())
-    # Of 16 beginnings that stay at hand.
+    # Of 16 beginnings, and mechanisms, that stay at hand.
     monkeypatch.setattr(module, "_INITIAL", Latest(2))
+    monkeypatch.setattr(module, "_PREPARED", Latest(2))
     it = copy.copy(slider(3e-4)), pickle.loads(pickle.dumps(slider(3e-4)))
     assert all(one.connections["B"].joint.clearance == 3e-4 for one in it)
 
