@@ -302,7 +302,7 @@ def has_kernels() -> bool:
 def _lower_on_cpu(ctx, *values, program, rank):
     def kernel(samples):
         kernel = kernels.build(program, widest_lanes() if samples > 1 else 1)
-        kernels.keep_kernel(kernel, ctx.module_context)
+        ctx.module_context.add_keepalive(kernel)
         return kernel.number
 
     return _lower_as_kernel(ctx, values, program, rank, kernel, _call_kernel, reference_of_batch)
