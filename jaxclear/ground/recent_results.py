@@ -20,6 +20,8 @@ class Key:
 
     def __init__(self, *arguments: Any):
         self.arguments = arguments
+        self.leaves: list[Any]
+        self.structure: Any
         self.leaves, self.structure = jax.tree.flatten(arguments)
 
     @functools.cached_property

@@ -100,20 +100,8 @@ def _run_differentiable(mechanism, coordinates, speeds, times, integrator, extra
     return forwards_only(NOT_BACKWARDS, result) if visible else result
 
 
-class _Prepared(NamedTuple):
-    """A `mechanism` and an `integrator` whose quantities are arrays; the `leaves` and `structure`
-    that they were given as; and the `key` by which the beginning of a run from the mechanism's own
-    start is found again (None: it cannot be)."""
-
-    leaves: list[Any]
-    structure: Any
-    mechanism: Mechanism
-    integrator: AbstractIntegrator
-    key: Key | None
-
-
-# What was given lately, by its arrays where all of them are JAX's, which nobody changes.
-_PREPARED: Latest[_Prepared] = Latest(16)
+# What was simulated lately, by its arrays: those of JAX nobody changes.
+_KEYS: Latest[Key] = Latest(16)
 # Where runs from a mechanism's own start began, and in which steps, but for what was warned of;
 # which forms of mechanisms suit their integrators.
 _INITIAL: Latest[Beginning] = Latest(16)
@@ -287,22 +275,21 @@ def _check_options(duration: Any, how: How, throw: bool) -> None:
         )
 
 
-def _prepare(mechanism: Mechanism, integrator: AbstractIntegrator) -> _Prepared:
-    """What a run needs of a mechanism and an integrator, each of any kind."""
-    leaves, structure = jax.tree.flatten((mechanism, integrator))
-    arrays = tuple(map(id, leaves))
-    prepared = _PREPARED.get(arrays)
-    # Its leaves live, so no others have their numbers.
-    if prepared is not None and prepared.structure == structure:
-        return prepared
-    mechanism, integrator = with_quantities((mechanism, integrator))
-    can_begin = isinstance(mechanism, Mechanism) and isinstance(integrator, AbstractIntegrator)
-    key = Key(mechanism, integrator) if can_begin else None
-    key = None if key is None or is_traced(key.leaves) else key
-    prepared = _Prepared(leaves, structure, mechanism, integrator, key)
-    if key is not None and all(isinstance(leaf, jax.Array) for leaf in leaves):
-        _PREPARED.keep(arrays, prepared)
-    return prepared
+def _make_key(mechanism: Mechanism, integrator: AbstractIntegrator) -> Key:
+    """A mechanism and an integrator, their quantities arrays, as a key; of the same arrays as
+    lately it is the same one, which knows all that is derived from it."""
+    key = Key(mechanism, integrator)
+    arrays = tuple(map(id, key.leaves))
+    earlier = _KEYS.get(arrays)
+    # It holds its arrays, so no others are at their addresses.
+    if earlier is not None and key.structure == earlier.structure:
+        return earlier
+    converted = with_quantities(key.arguments)
+    if converted is not key.arguments:
+        return Key(*converted)
+    if all(isinstance(leaf, jax.Array) for leaf in key.leaves) and not is_traced(key.leaves):
+        _KEYS.keep(arrays, key)
+    return key
 
 
 def _get_or_compute(latest: Latest[Value], key: Any, find: Callable[[], Value]) -> Value:
@@ -325,8 +312,11 @@ def _simulate_once(
     bounds: Bounds | None = None,
 ) -> Trajectory:
     """A run, however it ended. `bounds`: its accuracy (None: what the integrator promises)."""
-    _, _, mechanism, integrator, key = _prepare(mechanism, integrator)
-    key = None if how.state is not None else key
+    given = _make_key(mechanism, integrator)
+    mechanism, integrator = given.arguments
+    # By which the beginning of a run from a mechanism's own start is found again, if it can be.
+    can_begin = isinstance(mechanism, Mechanism) and isinstance(integrator, AbstractIntegrator)
+    key = given if can_begin and how.state is None and not is_traced(given.leaves) else None
     if key is None or _INITIAL.get(key) is None:
         check_run(mechanism, integrator)
     saving = checked_saving(how.save, integrator)
