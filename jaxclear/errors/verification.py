@@ -198,7 +198,8 @@ def _verify_by_replicas(
         pairs = (bounds.differences(run, coarse, other, finer[-1]) for other in finer)
         rows = list(zip(*pairs, strict=True))
         promised = np.array([_number_or_nan(bounds.tolerance(row[-1])) for row in rows])
-        shares = np.array([float(richardson([d.share for d in row], ratios)) for row in rows])
+        safety = np.array([row[0].safety for row in rows])
+        shares = safety * [float(richardson([d.share for d in row], ratios)) for row in rows]
         gaps = np.array([row[0].part == "gaps" for row in rows])
         second: tuple[Trajectory, float] | None = None
         if chaotic is None and np.any(gaps & ~np.isnan(promised) & ~(shares <= promised)):
@@ -212,7 +213,7 @@ def _verify_by_replicas(
         if len(replicas) > 1 or second is None:
             break
         replicas, ratios = [*replicas, second[0]], [*ratios, second[1]]
-    errors = [float(richardson([d.off for d in row], ratios)) for row in rows]
+    errors = list(safety * [float(richardson([d.off for d in row], ratios)) for row in rows])
     coarser = _run_on_coarser_cells(run, integrator, repeated)
     if coarser is not None:
         rows_of_cells = bounds.differences(run, coarse, bounds.observe(coarser), finer[-1])

@@ -40,6 +40,16 @@ def unit_of_field(metadata: Mapping[str, Any]) -> str:
     return metadata.get("unit", "1")
 
 
+def in_part(part: Any, metadata: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The metadata of a field: of a stiffness by the exponent of its law, with that in the unit."""
+    if not metadata.get("unit", "").endswith("^exponent"):
+        return metadata
+    power = 1.5 if part.exponent is None else part.exponent
+    if isinstance(power, jax.core.Tracer) or np.ndim(power):
+        return metadata
+    return {**metadata, "unit": metadata["unit"].replace("exponent", f"{float(power):g}")}
+
+
 def part_in_words(part: Any) -> str:
     """What a user types for its class, and its fields: in a line, or a line for each part in it."""
     kind = public_name(type(part))
@@ -86,7 +96,10 @@ def fields_in_words(part: Any, unit: Unit = unit_of_field) -> Iterator[tuple[str
         value = getattr(part, field.name)
         empty = isinstance(value, (str, tuple, dict)) and not value
         if value is not None and not empty:
-            yield field.name, f"{field.name} {_format_value(value, field.metadata, unit)}"
+            yield (
+                field.name,
+                f"{field.name} {_format_value(value, in_part(part, field.metadata), unit)}",
+            )
 
 
 def _format_value(value: Any, metadata: Mapping[str, Any], unit: Unit) -> str:

@@ -12,7 +12,6 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
 from jaxclear.errors.observables import GAPS
@@ -36,7 +35,7 @@ from jaxclear.multibody.assembly_modes import Nominal
 from jaxclear.multibody.length_scales import narrowest_gap, rooms
 from jaxclear.multibody.mechanism import Mechanism, loosened, with_redundancy
 from jaxclear.multibody.state import lay_out
-from jaxclear.multibody.system import longest_arm, prepare, wear_maps
+from jaxclear.multibody.system import longest_arm, prepare, wear_maps, wearing_in
 from jaxclear.multibody.topology import Redundancy
 from jaxclear.native import has_kernels
 from jaxclear.native.compiled import compiled_for_kernels, compiled_quickly
@@ -74,7 +73,7 @@ from jaxclear.studies.chosen_integrator import (
     unasked,
 )
 from jaxclear.studies.experiment import (
-    LEAST_CHUNK,
+    LANES,
     PARTS,
     AbstractExperiment,
     Cost,
@@ -97,6 +96,11 @@ NEAR_A_CORE = 1 << 26
 LARGEST_ELSEWHERE = 4096
 # Threads of kernels that fill a large GPU some times.
 LARGEST_BY_KERNELS = 1 << 17
+# What no replica of a study refines.
+WITHOUT_CELLS = (
+    "What the size of cells leaves in worn depths is not included; jaxclear.simulate of one sample "
+    "with verify=True tells it."
+)
 
 
 class RunExperiment(AbstractExperiment):
@@ -256,7 +260,7 @@ class RunExperiment(AbstractExperiment):
         )
         counting = self.integrator
         if mechanism.topology.clearances:
-            counting = counting.counting_in(*_gap_and_arm(mechanism))
+            counting = counting.counting_in(*_lengths(mechanism)[:2])
         how = replica(counting, self._times(), share)
         if how is None:
             return None
@@ -277,7 +281,7 @@ class RunExperiment(AbstractExperiment):
         if batch is None:
             batch = LARGEST_BY_KERNELS if has_kernels() else LARGEST_ELSEWHERE
         else:
-            near = max(NEAR_A_CORE // max(memory, 1), LEAST_CHUNK)
+            near = max(NEAR_A_CORE // max(memory, 1), LANES)
             batch = min(batch, 1 << (near.bit_length() - 1))
         # Runs of no length.
         idle = with_fields(self, duration=on_device(0.0))
@@ -297,7 +301,7 @@ class RunExperiment(AbstractExperiment):
             early,
             True,
             checked_by(self._load_steps().passed, Checks()).warnings,
-            self.why_integrator,
+            " ".join(filter(None, [self.why_integrator, self._what_cells_leave()])),
             self._limits_of_derivatives(),
         )
 
@@ -311,6 +315,13 @@ class RunExperiment(AbstractExperiment):
             promises = STUDIES if self.unasked else self.integrator.promise
             promise = _promise_of(self.mechanism, promises, response, unit)
         return ResponseInfo(unit, concerns, promise, self.integrator.remedy)
+
+    def _what_cells_leave(self) -> str:
+        """A sentence where depths are read from cells; replicas refine steps alone."""
+        surfaces = [m for j in wearing_in(self.mechanism).values() for m, _ in j.maps().values()]
+        in_cells = any(math.prod(surface.cells) > 1 for surface in surfaces)
+        reads_depths = any(needs_of(f) == "worn depth" for f in self.response.values())
+        return WITHOUT_CELLS if in_cells and reads_depths else ""
 
     def _limits_of_derivatives(self) -> tuple[str, str]:
         modelled = self.integrator.formulation.modelled(self.mechanism)
@@ -351,10 +362,11 @@ def _state_and_cell_counts(mechanism: Mechanism) -> tuple[int, int]:
 
 
 @compiled_quickly
-def _gap_and_arm(mechanism: Mechanism) -> tuple[Array, Array]:
-    """The narrowest gap and the longest arm of a mechanism [m]."""
+def _lengths(mechanism: Mechanism) -> tuple[Array, Array, Array]:
+    """The narrowest gap, the longest arm and the widest room of a mechanism [m]."""
     system = prepare(mechanism)
-    return narrowest_gap(system), longest_arm(system)
+    widest = jnp.max(rooms(system), initial=0.0) if system.bearings else jnp.zeros(())
+    return narrowest_gap(system), longest_arm(system), widest
 
 
 def _answers(experiment: RunExperiment, setting: Setting, discrete: bool) -> SampleResult:
@@ -433,6 +445,5 @@ def _length_scale(mechanism: Mechanism, unit: str) -> float:
     """Of what goes by a unit the least way that places are measured beside."""
     if unit != "m":
         return 1.0 if unit == "rad" else 0.0
-    system = prepare(mechanism)
-    widest = float(np.max(np.asarray(rooms(system)), initial=0.0)) if system.bearings else 0.0
-    return max(float(longest_arm(system)), GAPS * widest)
+    _, arm, widest = map(float, _lengths(mechanism))
+    return max(arm, GAPS * widest)

@@ -309,6 +309,15 @@ def test_a_mean_above_its_peak_is_explained():
         assert ("sums over a joint's contacts" in shown) is says
 
 
+def test_a_place_that_is_off_by_the_gap_is_anywhere_in_it():
+    names = (("places in the gap", "gaps", "B", "m"),)
+    for error, says in ((5e-4, True), (1e-5, False)):
+        numbers, none = np.array([[2e-4, error, error / 2e-4, 0.05]]), np.zeros(1, bool)
+        shown = Verified((), numbers, none, None, np.zeros(()), REFERENCE, names, "shorter steps")
+        assert ("anywhere in the gap" in str(shown)) is says
+        assert "in a gap the clearance." in str(shown)
+
+
 def odd():
     still = jc.Mechanism(
         {"rod": jc.Body(1.0, 0.1, (0.0, -0.5))},
