@@ -8,10 +8,8 @@ import functools
 import gc
 import os
 from pathlib import Path
-from types import MethodType
 from zlib import crc32
 
-import equinox as eqx
 import jax
 import pytest
 from hypothesis import settings
@@ -41,18 +39,6 @@ gc.set_threshold(300_000, 20, 1000)
 # A fifth of the time of a program of one operation goes into a context of MLIR, which JAX makes
 # for each: those of a file share one.
 mlir.make_ir_context = functools.lru_cache(1)(mlir.make_ir_context)
-
-
-def _getattribute(self, name, get=object.__getattribute__):
-    """Equinox's own answer, which looks at every name before it looks at what stands there: a
-    thirtieth of the suite."""
-    found = get(self, name)
-    if type(found) is not MethodType or found.__self__ is not self or name.startswith("__"):
-        return found
-    return equinox_getattribute(self, name)
-
-
-equinox_getattribute, eqx.Module.__getattribute__ = eqx.Module.__getattribute__, _getattribute
 
 settings.register_profile("repeatable", derandomize=True, deadline=None)
 # HYPOTHESIS_PROFILE=searching draws anew in every run and prints how to repeat what fails.
@@ -99,6 +85,15 @@ def few_programs():
     if MAPS.exists() and MAPS.read_bytes().count(b"\n") > MOST_MAPS:
         jax.clear_caches()
         gc.collect()
+
+
+@pytest.fixture
+def young_garbage():
+    """Collections of garbage look at what the test has made: not at millions of objects of others,
+    at seconds each."""
+    gc.freeze()
+    yield
+    gc.unfreeze()
 
 
 @pytest.fixture(scope="module")
