@@ -12,7 +12,7 @@ import numpy as np
 from jaxclear.errors.observables import Difference, Observables, differences, observed, safety_of
 from jaxclear.ground.arguments import check_name, check_number, expect
 from jaxclear.ground.printing import in_a_line
-from jaxclear.ground.quantity import is_traced
+from jaxclear.ground.quantity import is_traced, on_host
 from jaxclear.ground.wording import described, public_name
 from jaxclear.integrators.base import Promise
 from jaxclear.results.response import unit_of
@@ -43,7 +43,8 @@ class Bounds(NamedTuple):
 
     def observe(self, run: Trajectory) -> Observed:
         """What is compared of a run."""
-        return Observed(observed(run), tuple(float(np.asarray(f(run))) for _, f in self.responses))
+        drawn = tuple(float(np.asarray(f(run))) for _, f in self.responses)
+        return Observed(on_host(observed(run)), drawn)
 
     def differences(
         self, run: Trajectory, one: Observed, other: Observed, finest: Observed

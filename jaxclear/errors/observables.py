@@ -231,11 +231,10 @@ def differences(
 
     Args:
         run: the one that is judged, which names joints and bodies.
-        one, other: what is observed of the two runs.
+        one, other: what is observed of the two runs, NumPy's numbers.
         finest: what is observed of the most accurate run, which scales the differences.
     """
-    one, other, finest = (Observables(*map(_as_arrays, each)) for each in (one, other, finest))
-    widest = 0.0 if one.rooms is None else float(np.max(np.asarray(one.rooms), initial=0.0))
+    widest = 0.0 if one.rooms is None else float(np.max(one.rooms, initial=0.0))
     arm = float(one.arm)
     shift, longest = (_largest_displacement(each.centres) for each in (one, finest))
     angle, most = (_largest_angle(each.axes, each.axes[:1]) for each in (one, finest))
@@ -269,7 +268,7 @@ def differences(
         for unit, least in (("N m", float(one.idle)), ("N", float(one.idle) / arm if arm else 0.0)):
             torque = unit == "N m"
             ks = [k for k, n in enumerate(names) if turns(run.mechanism, couplings[n]) == torque]
-            a, b, c = (np.asarray(getattr(x, f"{kind}_sent"))[ks] for x in (one, other, finest))
+            a, b, c = (getattr(x, f"{kind}_sent")[ks] for x in (one, other, finest))
             if ks:
                 places = [names[k] for k in ks]
                 rows += _by_place(f"{kind} transmitted", part, unit, places, a, b, c, least)
@@ -299,13 +298,9 @@ def _largest_displacement(history: Any) -> float:
 
 def _largest_angle(one: Any, other: Any) -> float:
     """The largest angle [rad] between axes."""
-    squares = np.sum(np.square(np.asarray(one) - np.asarray(other)), axis=-1)
+    squares = np.sum(np.square(one - other), axis=-1)
     half = np.sqrt(np.max(squares, initial=0.0) / 8)
     return float(2 * np.arcsin(np.minimum(half, 1.0)))
-
-
-def _as_arrays(values: Any) -> Any:
-    return None if values is None else np.asarray(values)
 
 
 def _gap_differences(run: Trajectory, one: Observables, other: Observables) -> list[Difference]:
@@ -313,7 +308,7 @@ def _gap_differences(run: Trajectory, one: Observables, other: Observables) -> l
         return []
     off = np.max(np.abs(np.asarray(one.in_gaps) - np.asarray(other.in_gaps)), axis=(0, 2))
     joints = list(run.formulation.contact_joints(run.mechanism))
-    names = [joints[int(owner)] for owner in np.asarray(one.owners)]
+    names = [joints[owner] for owner in np.asarray(one.owners)]
     largest: dict[str, tuple[float, float]] = {}
     for name, share, gap in zip(names, off, np.asarray(one.rooms), strict=True):
         largest[name] = max(largest.get(name, (0.0, 0.0)), (float(share), float(gap)))

@@ -18,6 +18,7 @@ import equinox as eqx
 import jax
 import numpy as np
 
+from jaxclear.ground.module import AbstractModule
 from jaxclear.ground.wording import described, public_name, unknown
 
 if TYPE_CHECKING:
@@ -141,7 +142,7 @@ WIDTH, MOST_LINES = 80, 12
 MOST_DIGITS, USER_DIGITS = 15, 10
 
 
-class AbstractShown(eqx.Module, metaclass=PublicMeta):
+class AbstractShown(AbstractModule, metaclass=PublicMeta):
     """What is shown in words and tables."""
 
     @abstractmethod

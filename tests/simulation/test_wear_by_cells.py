@@ -188,7 +188,9 @@ def test_the_error_of_a_scar_narrower_than_a_cell_is_that_of_its_contact(kind):
     factor = factor_of_cells(surface, jnp.asarray(place), depth, 1.0)
     stated = factor * abs(fine - coarse)
     assert fine < 0.5 * true
-    assert (true - fine) / 3.0 < stated < 3.0 * (true - fine)
+    # Of flat faces the contact's end lies anywhere in a cell.
+    least = 1 / 3 if kind == "guide" else 1.0
+    assert least * (true - fine) < stated < 3.0 * (true - fine)
 
 
 def rubbing(cells):
