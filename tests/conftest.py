@@ -4,7 +4,6 @@ is optimised little (a third of the suite), kernels not at all (a seventh; as us
 test says so), and Python looks for cycles of garbage rarely (a twentieth). Flags of XLA that a user
 sets go before."""
 
-import functools
 import gc
 import os
 from pathlib import Path
@@ -13,7 +12,6 @@ from zlib import crc32
 import jax
 import pytest
 from hypothesis import settings
-from jax._src.interpreters import mlir
 from jax.experimental.compilation_cache import compilation_cache
 
 from jaxclear.errors import verification
@@ -36,9 +34,6 @@ object_code.SPEED_LEVEL = 0
 os.environ["JAXCLEAR_CACHE"] = "0"
 os.environ["XLA_FLAGS"] = f"{LITTLE_OPTIMISED} {os.environ.get('XLA_FLAGS', '')}".strip()
 gc.set_threshold(300_000, 20, 1000)
-# A fifth of the time of a program of one operation goes into a context of MLIR, which JAX makes
-# for each: those of a file share one.
-mlir.make_ir_context = functools.lru_cache(1)(mlir.make_ir_context)
 
 settings.register_profile("repeatable", derandomize=True, deadline=None)
 # HYPOTHESIS_PROFILE=searching draws anew in every run and prints how to repeat what fails.
@@ -80,7 +75,6 @@ MAPS, MOST_MAPS = Path("/proc/self/maps"), 50_000
 @pytest.fixture(autouse=True, scope="module")
 def few_programs():
     """Programs of the files before are dropped where they are many."""
-    mlir.make_ir_context.cache_clear()
     yield
     if MAPS.exists() and MAPS.read_bytes().count(b"\n") > MOST_MAPS:
         jax.clear_caches()
