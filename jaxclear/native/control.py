@@ -400,8 +400,8 @@ def _write_row_by_row(writer, program, arguments, outvars):
 
 
 def _inner_loop(writer, equation, programs, counts, arguments, flags=()):
-    """A loop by its programs (condition, body), of whose arguments so many are constants; `flags` of
-    `write_loop`."""
+    """A loop by its programs (condition, body), of whose arguments so many are constants, with the
+    `flags` of `write_loop`."""
     (condition, body), (first, second) = programs, counts
     fixed_condition, fixed_body = arguments[:first], arguments[first : first + second]
     return write_loop(

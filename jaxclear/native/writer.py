@@ -316,7 +316,9 @@ class Writer:
             bits = self.put(f"bitcast {word} to i{self.lanes}")
             bits = self.put(f"zext i{self.lanes} {bits} to i64")
             counts.append(self.put(f"call i64 @llvm.ctpop.i64(i64 {bits})"))
-        return self.put(f"icmp ugt i64 {self.put(f'add i64 {counts[0]}, {counts[0]}')}, {counts[1]}")
+        return self.put(
+            f"icmp ugt i64 {self.put(f'add i64 {counts[0]}, {counts[0]}')}, {counts[1]}"
+        )
 
     def choose(self, truth: Any, yes: Any, no: Any, kind: str) -> Any:
         """`yes` where `truth` holds, else `no`.

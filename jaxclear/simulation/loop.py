@@ -48,7 +48,6 @@ from jaxclear.simulation.invariants import contact_labels, contact_names, is_too
 from jaxclear.simulation.sampling import next_instant, sample_loads, sampled_loads
 from jaxclear.simulation.saving import with_few_enough_steps
 from jaxclear.simulation.wear import (
-    Losses,
     Pending,
     Worn,
     is_off_surface,
@@ -400,8 +399,8 @@ class Turn:
         return now._replace(state=state, worn=worn, read=read)
 
     def motion(self, now: Carry, span: Span, under_way: Any = None) -> tuple:
-        """What is handed on but for worn surfaces (a `Carry`), what these lose (`Losses`), events, and
-        steps `under_way`, as of an `Interval`, without which nothing of these is valid yet."""
+        """(what is handed on but for worn surfaces, a `Carry`; what these lose, `Losses`; events;
+        steps under way, as of an `Interval`: where there are some the others are not valid yet)."""
         if self.report:
             jax.debug.callback(progress.advance, span.progress)
         model, layout = self.model, self.model.layout
