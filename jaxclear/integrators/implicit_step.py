@@ -19,7 +19,7 @@ from jaxclear.ground import sparse as sp
 from jaxclear.ground.grouping import packed, unpacked, unstacked
 from jaxclear.ground.numerics import positive_part
 from jaxclear.ground.quantity import Scalar, constant, count, on_device, on_host, quantity
-from jaxclear.integrators.base import AbstractIntegrator, arrived, counted, divide, resumable_loop
+from jaxclear.integrators.base import AbstractIntegrator, arrived, counted, divide, march
 from jaxclear.integrators.events import Peaks, among, no_peaks, risen, since, watch_from, watched
 from jaxclear.integrators.variational import (
     BESIDE,
@@ -216,21 +216,15 @@ class ImplicitStep(AbstractIntegrator):
         last = (last, None) if kind is None else so_far((last, beside))
         carried = last, peaks, watch_from(model, interval.start, state)
         if self.steps_per_save is None:
-            carry, under_way = resumable_loop(
-                lambda carry: carry[0] < steps,
-                lambda carry: (carry[0] + 1, *one(*carry)),
-                (jnp.zeros((), int), state, carried),
-                interval.under_way,
-            )
-            _, end, (last, peaks, watch) = carry
+            end, (last, peaks, watch) = march(one, steps, state, carried)
         else:
-            turn, under_way = lambda index, carry: one(index, *carry), None
+            turn = lambda index, carry: one(index, *carry)
             end, (last, peaks, watch) = counted(turn, self.steps_per_save, (state, carried))
         if contacts and kind is None:
             peaks = among(before, peaks)
         end = self._sped_up(model, end, last[0], h)
         end, peaks, watch = trusted_steps(kind, end, peaks, watch, last)
-        return arrived(end, steps, last, peaks, watch)._replace(under_way=under_way)
+        return arrived(end, steps, last, peaks, watch)
 
 
 def _worn_deeper(model: Model, time: Any, state: State, depths: Array) -> Array:
