@@ -4,14 +4,18 @@ is optimised little (a third of the suite), kernels not at all (a seventh; as us
 test says so), and Python looks for cycles of garbage rarely (a twentieth). Flags of XLA that a user
 sets go before."""
 
+import functools
 import gc
 import os
 from pathlib import Path
+from types import MethodType
 from zlib import crc32
 
+import equinox as eqx
 import jax
 import pytest
 from hypothesis import settings
+from jax._src.interpreters import mlir
 from jax.experimental.compilation_cache import compilation_cache
 
 from jaxclear.errors import verification
@@ -31,6 +35,21 @@ object_code.SPEED_LEVEL = 0
 os.environ["JAXCLEAR_CACHE"] = "0"
 os.environ["XLA_FLAGS"] = f"{LITTLE_OPTIMISED} {os.environ.get('XLA_FLAGS', '')}".strip()
 gc.set_threshold(300_000, 20, 1000)
+# A fifth of the time of a program of one operation goes into a context of MLIR, which JAX makes
+# for each: those of a file share one.
+mlir.make_ir_context = functools.lru_cache(1)(mlir.make_ir_context)
+
+
+def _getattribute(self, name, get=object.__getattribute__):
+    """Equinox's own answer, which looks at every name before it looks at what stands there: a
+    thirtieth of the suite."""
+    found = get(self, name)
+    if type(found) is not MethodType or found.__self__ is not self or name.startswith("__"):
+        return found
+    return equinox_getattribute(self, name)
+
+
+equinox_getattribute, eqx.Module.__getattribute__ = eqx.Module.__getattribute__, _getattribute
 
 settings.register_profile("repeatable", derandomize=True, deadline=None)
 # HYPOTHESIS_PROFILE=searching draws anew in every run and prints how to repeat what fails.
@@ -66,12 +85,13 @@ def pytest_collection_modifyitems(config, items):
 
 # Every compiled program maps pieces of memory, a few tens of them. Linux allows a process 65 530;
 # beyond, XLA crashes. What is dropped is compiled again, small programs above all.
-MAPS, MOST_MAPS = Path("/proc/self/maps"), 40_000
+MAPS, MOST_MAPS = Path("/proc/self/maps"), 50_000
 
 
 @pytest.fixture(autouse=True, scope="module")
 def few_programs():
     """Programs of the files before are dropped where they are many."""
+    mlir.make_ir_context.cache_clear()
     yield
     if MAPS.exists() and MAPS.read_bytes().count(b"\n") > MOST_MAPS:
         jax.clear_caches()

@@ -31,7 +31,7 @@ from markdown_it.renderer import RendererHTML
 from myst_parser.config.main import MdParserConfig
 from myst_parser.parsers.mdit import create_md_parser
 
-from benchmarks.measure import arguments, report, sign
+from benchmarks.measure import arguments, date, report, sign, stored_rows
 
 ROOT = Path(__file__).resolve().parents[2]
 BOOK = ROOT / "notebooks"
@@ -49,6 +49,7 @@ LIMITS = {
     "build [s]": 900,
 }
 PAGE_SECONDS = 60  # of CPU time, at most
+EXECUTED = "pages executed"
 # Directives whose content is text of the page.
 BOXES = {
     "admonition",
@@ -390,25 +391,25 @@ def run_page(name: str, into: Path) -> PageRun:
     return PageRun(seconds, error)
 
 
-def run_pages(names: list[str], into: Path) -> list[dict[str, Any]]:
-    """Execute pages one after the other (all notebooks where none is named); a row each."""
+def run_pages(names: list[str], options: Any) -> None:
+    """Execute pages one after the other (all notebooks where none is named), and report each when
+    it is through, with the others as they stand in the file."""
     notebooks = [name for name, text in pages().items() if "file_format: mystnb" in text]
     unknown = set(names) - set(notebooks)
     if unknown:
         raise SystemExit(f"no page of the book is executed under the name {sorted(unknown)}")
-    rows = []
     for name in names or notebooks:
-        run = run_page(name, into)
-        print(f"{name}: {run.seconds:.1f} s {run.error}".rstrip(), flush=True)
-        rows.append(
-            {
-                "page": name,
-                "CPU time [s]": round(run.seconds, 1),
-                "at most": PAGE_SECONDS,
-                "error": run.error.split("\n")[0],
-            }
-        )
-    return rows
+        run = run_page(name, options.into)
+        row = {
+            "page": name,
+            "CPU time [s]": round(run.seconds, 1),
+            "at most": PAGE_SECONDS,
+            "error": run.error.split("\n")[0],
+            "executed": date(),
+        }
+        others = [old for old in stored_rows(EXECUTED, options) if old["page"] in notebooks]
+        rows = {old["page"]: old for old in [*others, row]}
+        report(EXECUTED, [rows[page] for page in sorted(rows)], options)
 
 
 def measure(built: Path | None = None) -> dict[str, float]:
@@ -434,7 +435,7 @@ def main() -> None:
         into={"type": Path, "default": ROOT / "build" / "pages", "help": "their output"},
     )
     if options.run is not None:
-        report("pages executed", run_pages(options.run, options.into), options)
+        run_pages(options.run, options)
         return
     rows = [
         {"measure": name, "value": value, "at most": LIMITS.get(name)}

@@ -4,7 +4,7 @@ worst shape of a cell, by worn depth in heights of the first layer.
 
 import time
 
-import jax
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
@@ -26,7 +26,7 @@ def meshes(options):
 
 def cost_rows(options):
     for solid, depth, built in meshes(options):
-        follow, cells = jax.jit(solid.displacement), len(solid.new.hexahedra())
+        follow, cells = eqx.filter_jit(solid.displacement), len(solid.new.hexahedra())
         cpu = side_by_side({"follow": lambda f=follow, d=depth: f(d)})["follow"][1]
         row = {"cells": cells, "built once [CPU s]": built, "follows [CPU s]": cpu}
         yield row | {"follows [CPU s per 1e5 cells]": cpu / cells * 1e5}

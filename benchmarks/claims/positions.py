@@ -1,11 +1,10 @@
 """Samples a second of tolerance studies without time, by CPU time: a planar four-bar with clearance
 at 36 positions of its crank, its derivative, a stack of ten dimensions; by the samples computed
-together. How far the four-bar's pose errors are from those of ten more turns of the search.
+together.
 """
 
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -76,23 +75,6 @@ def derivative_rows(problem: jc.Problem, chunk: int) -> list[dict[str, Any]]:
     return rows
 
 
-def agreement_rows(problem: jc.Problem) -> list[dict[str, Any]]:
-    """Largest difference of responses from those sought anew from where the search ended."""
-    values = jnp.asarray(draw(problem, 256, 1))
-
-    @eqx.filter_jit
-    def twice(problem, values):
-        found = jax.vmap(problem.detail)(values)
-        again = jax.vmap(lambda v, q: started(problem, q).detail(v))(values, found.coordinates)
-        return found.coordinates, again.coordinates
-
-    def started(problem, q):
-        return eqx.tree_at(lambda p: p.starts.q, problem, q)
-
-    first, second = twice(problem, values)
-    return [{"largest change of a coordinate [rad]": float(jnp.abs(first - second).max())}]
-
-
 def rate_rows(options: Any) -> list[dict[str, Any]]:
     """Samples a second of both problems."""
     many = 1 << (12 if options.quick else 15)
@@ -104,7 +86,6 @@ def rate_rows(options: Any) -> list[dict[str, Any]]:
 TABLES = {
     "Samples a second of one core": rate_rows,
     "The four-bar and its slope along one variable": lambda _: derivative_rows(four_bar(), 1024),
-    "The four-bar sought anew from where the search ended": lambda _: agreement_rows(four_bar()),
 }
 
 if __name__ == "__main__":

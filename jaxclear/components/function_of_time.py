@@ -27,6 +27,7 @@ from jaxclear.ground.quantity import (
     as_vector,
     is_traced,
     quantity,
+    with_numbers_alone,
 )
 from jaxclear.ground.warning import call_user, shape_of
 from jaxclear.ground.wording import described, public_name
@@ -112,7 +113,8 @@ def opened(function: Callable) -> Callable:
     # By a function that encloses it: of others Equinox takes it that they hang on nothing.
     at = lambda time: function(time)
     try:
-        return _Opened(eqx.filter_closure_convert(at, jax.ShapeDtypeStruct((), jnp.float64)))
+        closure = eqx.filter_closure_convert(at, jax.ShapeDtypeStruct((), jnp.float64))
+        return _Opened(with_numbers_alone(closure))
     except Exception:
         # What fails is told of in a sentence (`check_function_of_time`).
         return function

@@ -407,6 +407,22 @@ def with_quantities(tree: Any) -> Any:
     return with_fields(tree, **values)
 
 
+class _NumbersAlone(eqx.Module):
+    """A function in which numbers alone are leaves: `jax.jit` and `jax.vmap` return it."""
+
+    numbers: Any
+    rest: Any = eqx.field(static=True)
+
+    def __call__(self, *args: Any) -> Any:
+        return eqx.combine(self.numbers, self.rest)(*args)
+
+
+def with_numbers_alone(tree: Any) -> Any:
+    """A tree in which each function is one of which numbers alone are leaves."""
+    close = lambda x: _NumbersAlone(*eqx.partition(x, eqx.is_array)) if callable(x) else x
+    return close(tree) if callable(tree) else jax.tree.map(close, tree)
+
+
 def is_tracing() -> bool:
     """Whether a program is being traced, whatever is known in it."""
     return isinstance(jax.lax.neg_p.bind(ANY), jax.core.Tracer)

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxclear.ground.argument_errors import answering
-from jaxclear.ground.arguments import check_count, check_flags, expect
+from jaxclear.ground.arguments import check_count, check_flags
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.printing import AbstractShown
 from jaxclear.ground.quantity import is_traced
@@ -18,7 +18,7 @@ from jaxclear.ground.wording import listed
 from jaxclear.multibody import assembly_modes, start_check
 from jaxclear.multibody.assembly import FirstSearch, first_search
 from jaxclear.multibody.assembly_modes import Mode
-from jaxclear.multibody.mechanism import Mechanism, rebuilt
+from jaxclear.multibody.mechanism import Mechanism, check_mechanism, rebuilt
 from jaxclear.multibody.start_constraints import at_start
 from jaxclear.multibody.topology import coordinate_units, joint_of
 
@@ -120,7 +120,7 @@ def assemblies(
         ValueError: if numbers are traced, or no way to assemble was found.
     """
     check_double_precision()
-    expect(mechanism, Mechanism, "what is assembled", "a jaxclear.Mechanism")
+    check_mechanism(mechanism, "what is assembled")
     check_count("samples of assemblies", samples, at_least=1)
     check_flags("assemblies", concentric=concentric)
     if is_traced(mechanism):

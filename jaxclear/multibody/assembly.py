@@ -17,7 +17,7 @@ from jaxtyping import Array, Bool
 
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.argument_errors import answering
-from jaxclear.ground.arguments import check_flags, expect
+from jaxclear.ground.arguments import check_flags
 from jaxclear.ground.compiling import map_many
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.quantity import is_traced, is_tracing, with_quantities
@@ -32,6 +32,7 @@ from jaxclear.multibody.assembly_modes import Beginning, Mode, Nominal, beginnin
 from jaxclear.multibody.forces import relative_motions
 from jaxclear.multibody.mechanism import (
     Mechanism,
+    check_mechanism,
     loosened,
     ungiven,
     with_redundancy,
@@ -356,7 +357,7 @@ def assemble(mechanism: Mechanism, concentric: bool = True) -> Start:
             free, or parts would start deep in each other.
     """
     check_double_precision()
-    expect(mechanism, Mechanism, "what is assembled", "a jaxclear.Mechanism")
+    check_mechanism(mechanism, "what is assembled")
     check_flags("assemble", concentric=concentric)
     return ready(with_quantities(mechanism), concentric).start
 

@@ -35,7 +35,13 @@ from jaxclear.ground.printing import (
     number_in_words,
     numbers_in_words,
 )
-from jaxclear.ground.quantity import AbstractQuantified, as_number, on_device, with_fields
+from jaxclear.ground.quantity import (
+    AbstractQuantified,
+    as_number,
+    on_device,
+    with_fields,
+    with_quantities,
+)
 from jaxclear.ground.table import as_table
 from jaxclear.ground.wording import described, public_name
 from jaxclear.multibody import validation
@@ -470,6 +476,44 @@ def _copy_shared_parts(parts: tuple[dict[str, Any], ...]) -> tuple[Parts, ...]:
             (name, unshared(part)) for name, part in dict.items(one)
         )
         for one in parts
+    )
+
+
+def check_mechanism(mechanism: Any, what: str) -> None:
+    """Raises `ValueError` where something is no mechanism, or one of which a part was exchanged
+    after it was built (by `equinox.tree_at`, say) for what is no such part or has other coordinates
+    than the tree counts. Numbers are not looked at.
+
+    Args:
+        mechanism: what a user hands over.
+        what: begins the message: what it is handed over as.
+    """
+    expect(mechanism, Mechanism, what, "a jaxclear.Mechanism")
+    eqx.filter_eval_shape(_check_form, with_quantities(mechanism))
+
+
+def _check_form(mechanism: Mechanism) -> None:
+    bodies, connections, loads = mechanism.bodies, mechanism.connections, mechanism.loads
+    tree = mechanism.topology
+    validation.check_parts(bodies, connections, loads, mechanism.couplings)
+    grown = grow_tree(bodies, connections, mechanism.couplings, parts_of_beams(loads))
+    if dataclasses.replace(grown, redundancy=tree.redundancy) == tree:
+        return
+
+    def is_changed(name: str) -> bool:
+        joint, branch = connections[name].joint, tree.branch_of(name)
+        if isinstance(joint, AbstractClearance) or name in tree.clearances:
+            return isinstance(joint, AbstractClearance) != (name in tree.clearances)
+        driven = drive_of(joint) is not None
+        count = 0 if driven else len(joint.home)
+        return driven if branch is None else branch.coordinate_count != count
+
+    names = [f'joint "{name}"' for name in connections if is_changed(name)]
+    raise ValueError(
+        f"{' and '.join(names) or 'a part'} of the mechanism was changed after it was built, so "
+        "that other joints have coordinates than its equations of motion count: a drive was put "
+        "in or left out, or a joint exchanged. Exchange it by mechanism.with_joint(name, joint), "
+        "or build another jaxclear.Mechanism."
     )
 
 

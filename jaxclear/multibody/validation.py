@@ -82,7 +82,9 @@ def _check_rates(name: str, drive: AbstractDrive) -> None:
     """Raises `ValueError` where the speed of a drive is not the rate of its position, or its
     acceleration not that of its speed, at any of a few instants."""
     motion = lambda time: tuple(jnp.asarray(part, float) for part in drive.motion(time))
-    looks = [jax.jvp(motion, (time,), (1.0,)) for time in INSTANTS]
+    # Also where something else is being traced.
+    with jax.ensure_compile_time_eval():
+        looks = [jax.jvp(motion, (time,), (1.0,)) for time in INSTANTS]
     for below, above in itertools.pairwise(range(3)):
         rates = [(float(result[above]), float(rate[below])) for result, rate in looks]
         if all(abs(report - rate) > CLOSE * (abs(report) + abs(rate)) for report, rate in rates):
@@ -180,6 +182,7 @@ def check_parts(bodies: dict, connections: dict, loads: dict, couplings: dict) -
         )
     for name, body in bodies.items():
         expect(body, (Body, Beam), f'body "{name}"', "a jaxclear.Body or a jaxclear.Beam")
+        _check_slots(f'body "{name}"', body)
         check_values(f'body "{name}"', body)
     for name, connection in connections.items():
         _check_connection(name, connection, bodies)
@@ -212,6 +215,7 @@ def _check_connection(name: str, connection: Any, bodies: dict) -> None:
     check_values(f'joint "{name}"', joint)
     for side, marker in (("parent", connection.parent), ("child", connection.child)):
         _check_body(f'joint "{name}" refers to', marker.body, bodies)
+        _check_slots(f'the {side} marker of joint "{name}"', marker)
         check_values(f'the {side} marker of joint "{name}"', marker)
     if connection.parent.body == connection.child.body:
         raise ValueError(

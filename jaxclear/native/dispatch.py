@@ -3,8 +3,10 @@ the function that takes XLA's frame, and the loop over samples behind it.
 
 XLA keeps a registered function for ever. Kernels go with their programs, so they are not
 registered: a custom call carries a kernel's number, which its text decides, and a table gives the
-address that this number has in this process. A number that is not in the table ends the run with an
-error of XLA. Calls under way are counted: the memory of a kernel is freed when there are none.
+address that this number has in this process. A number without an address ends the run with an
+error of XLA. The table counts the executables of XLA's that call a kernel: XLA creates a state for
+each call in an executable that it makes, and deletes it with the executable, which it keeps while
+it runs. The memory of a kernel that no program keeps is freed when its count is zero.
 
 A custom call receives one frame that points to its arrays. `HANDLER` reads the packed rows, the
 arrays kept in memory and the place of the result out of it; `SAMPLES` brings `lanes` samples at a
@@ -26,15 +28,26 @@ from jaxclear.native import object_code
 from jaxclear.native.writer import Unsupported
 
 TARGET = "jaxclear_loop"
-# Entries of the table, a power of two; open addressing wants it half empty.
-PLACES = 1 << 14
-# Pairs (number, address); a number stays when its kernel has gone, with address 0, until another
-# kernel takes its place.
-TABLE = (ctypes.c_int64 * (2 * PLACES))()
-# Calls under way of the kernels at each place.
-CALLS = (ctypes.c_int64 * PLACES)()
-# The number of a place while another kernel takes it.
-CHANGING = -1
+# Rows of the table, a power of two. A number keeps its row for ever: XLA keeps some 0.7 MB of each
+# program that is dropped, so that memory ends before the rows do.
+ROWS = 1 << 16
+
+
+class Row(ctypes.Structure):
+    """A row of the table: a kernel's number (0: none yet), where its code is (0: nowhere) and how
+    many executables call it."""
+
+    _fields_ = [(name, ctypes.c_int64) for name in ("number", "address", "executables")]
+
+
+def _allocate_table() -> Any:
+    """Memory that is never freed: XLA deletes executables when Python has ended."""
+    allocate = ctypes.pythonapi.PyMem_RawCalloc
+    allocate.restype, allocate.argtypes = ctypes.c_void_p, [ctypes.c_size_t, ctypes.c_size_t]
+    return (Row * ROWS).from_address(allocate(ROWS, ctypes.sizeof(Row)))
+
+
+TABLE = _allocate_table()
 DROPPED = b"jaxclear: the kernel of this program has been dropped; compile the program again."
 # Code of an internal error in XLA's foreign function interface.
 INTERNAL = 13
@@ -59,82 +72,65 @@ def register_with_xla() -> Any:
         major=major,
         minor=minor,
         table=ctypes.addressof(TABLE),
-        calls=ctypes.addressof(CALLS),
-        changing=CHANGING,
-        mask=PLACES - 1,
+        mask=ROWS - 1,
         length=len(DROPPED) + 1,
         message=DROPPED.decode(),
         error=ERROR,
     )
     engine = object_code.compiled(text)
-    register("cpu", engine)
+    state: Any = {
+        "type_id": _capsule(engine.get_global_value_address(f"{TARGET}.type")),
+        "type_info": _capsule(engine.get_global_value_address(f"{TARGET}.info")),
+    }
+    jax.ffi.register_ffi_type(TARGET, state, platform="cpu")
+    instantiate = _capsule(engine.get_function_address(f"{TARGET}.instantiate"))
+    register("cpu", engine, instantiate=instantiate)
     return engine
 
 
-def register(platform: str, engine: Any) -> None:
-    """Makes the function of an engine known to XLA on a platform."""
-    capsule = ctypes.pythonapi.PyCapsule_New
-    capsule.restype, capsule.argtypes = (
+def register(platform: str, engine: Any, **stages: Any) -> None:
+    """Makes the function of an engine known to XLA on a platform, with functions for other
+    `stages` than that of a call."""
+    functions = {"execute": _capsule(engine.get_function_address(TARGET)), **stages}
+    jax.ffi.register_ffi_target(TARGET, functions, platform=platform, api_version=1)
+
+
+def _capsule(address: int) -> Any:
+    make = ctypes.pythonapi.PyCapsule_New
+    make.restype, make.argtypes = (
         ctypes.py_object,
         [ctypes.c_void_p, ctypes.c_char_p, ctypes.c_void_p],
     )
-    function_capsule = capsule(engine.get_function_address(TARGET), None, None)
-    jax.ffi.register_ffi_target(TARGET, function_capsule, platform=platform, api_version=1)
+    return make(address, None, None)
 
 
-def _place(number: int) -> int:
-    """Where a number stands in the table, or else the first place that is free for it."""
-    place, free = number % PLACES, None
-    for _ in range(PLACES):
-        stored_number, address = TABLE[2 * place], TABLE[2 * place + 1]
-        if stored_number == number:
-            return place
-        if free is None and address == 0:
-            free = place
-        if stored_number == 0:
-            break
-        place = (place + 1) % PLACES
-    if free is None:
-        raise MemoryError(f"jaxclear keeps {PLACES} kernels at once, and these are in use.")
-    return free
+def row_of_kernel(number: int) -> Row:
+    """The row of a number (positive, 63 bits) in the table, from now on if it had none."""
+    address = _machine_function("find", ctypes.c_void_p, ctypes.c_int64)(number)
+    if not address:
+        raise MemoryError(f"jaxclear compiles {ROWS} kernels in one process, and no more.")
+    return Row.from_address(address)
 
 
 def enter_kernel(number: int, address: int) -> None:
-    """From now on this number (positive, 63 bits) stands for the kernel at an address."""
-    # The number last, and nobody's before: a call in another thread may be looking here.
-    _atomic_function("enter", None, ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64)(
-        _slot_address(_place(number)), number, address
-    )
+    """From now on this number stands for the kernel at an address."""
+    row_of_kernel(number).address = address
 
 
-def remove(number: int, address: int) -> int:
-    """The number stands for no kernel any more, if it stood for the one at this address. Gives the
-    place at which calls of it that are under way are counted."""
-    place = _place(number)
-    if (TABLE[2 * place], TABLE[2 * place + 1]) == (number, address):
-        _atomic_function("leave", ctypes.c_int64, ctypes.c_void_p, ctypes.c_void_p)(
-            _slot_address(place), ctypes.addressof(CALLS) + 8 * place
-        )
-    return place
+def remove(number: int, address: int) -> None:
+    """The number stands for no kernel any more, if it stood for the one at this address."""
+    row = ctypes.addressof(row_of_kernel(number))
+    _machine_function("remove", None, ctypes.c_void_p, ctypes.c_int64)(row, address)
 
 
-def is_in_use(place: int) -> bool:
-    """Whether a kernel is being called at a place of the table."""
-    return CALLS[place] > 0
-
-
-def _slot_address(place: int) -> int:
-    return ctypes.addressof(TABLE) + 16 * place
-
-
-def _atomic_function(what: str, *types: Any) -> Any:
-    """A function of machine code that changes the table in an order that other threads see too."""
+def _machine_function(what: str, *types: Any) -> Any:
+    """A function of machine code that changes the table in steps that other threads see whole."""
     return ctypes.CFUNCTYPE(*types)(register_with_xla().get_function_address(f"{TARGET}.{what}"))
 
 
 def size() -> int:
     """Kernels in the table."""
-    return sum(address != 0 for address in TABLE[1::2])
+    return sum(row.address != 0 for row in TABLE)
 
 
 # Offsets are in bytes.
@@ -160,7 +156,20 @@ STRUCTURES = (
     "struct XLA_FFI_Scalar { XLA_FFI_DataType dtype; void* value; }",
     "struct XLA_FFI_Api { size_t struct_size; XLA_FFI_Extension_Base* extension_start; "
     "XLA_FFI_Api_Version api_version; const XLA_FFI_InternalApi* internal_api; "
-    "_XLA_FFI_API_STRUCT_FIELD(XLA_FFI_Error_Create);",
+    "_XLA_FFI_API_STRUCT_FIELD(XLA_FFI_Error_Create); "
+    "_XLA_FFI_API_STRUCT_FIELD(XLA_FFI_Error_GetMessage); "
+    "_XLA_FFI_API_STRUCT_FIELD(XLA_FFI_Error_Destroy); "
+    "_XLA_FFI_API_STRUCT_FIELD(XLA_FFI_Handler_Register); "
+    "_XLA_FFI_API_STRUCT_FIELD(XLA_FFI_Stream_Get); "
+    "_XLA_FFI_API_STRUCT_FIELD(XLA_FFI_Type_Register); "
+    "_XLA_FFI_API_STRUCT_FIELD(XLA_FFI_ExecutionContext_Get); "
+    "_XLA_FFI_API_STRUCT_FIELD(XLA_FFI_State_Set);",
+    "struct XLA_FFI_State_Set_Args { size_t struct_size; "
+    "XLA_FFI_Extension_Base* extension_start; XLA_FFI_ExecutionContext* ctx; "
+    "XLA_FFI_ExecutionStage stage; XLA_FFI_TypeId* type_id; void* state; };",
+    "struct XLA_FFI_TypeId { int64_t type_id; }",
+    "struct XLA_FFI_TypeInfo { size_t struct_size; XLA_FFI_Extension_Base* extension_start; "
+    "void (*deleter)(void* object); }",
     "struct XLA_FFI_Error_Create_Args { size_t struct_size; "
     "XLA_FFI_Extension_Base* extension_start; const char* message; XLA_FFI_Error_Code errc; };",
     "struct XLA_FFI_Metadata { size_t struct_size; XLA_FFI_Api_Version api_version; "

@@ -17,11 +17,6 @@ from jaxclear.native.writer import Unsupported
 
 # How XLA's interface goes on behind what `dispatch` reads.
 STRUCTURES = (
-    "_XLA_FFI_API_STRUCT_FIELD(XLA_FFI_Error_Create); "
-    "_XLA_FFI_API_STRUCT_FIELD(XLA_FFI_Error_GetMessage); "
-    "_XLA_FFI_API_STRUCT_FIELD(XLA_FFI_Error_Destroy); "
-    "_XLA_FFI_API_STRUCT_FIELD(XLA_FFI_Handler_Register); "
-    "_XLA_FFI_API_STRUCT_FIELD(XLA_FFI_Stream_Get);",
     "struct XLA_FFI_Stream_Get_Args { size_t struct_size; "
     "XLA_FFI_Extension_Base* extension_start; XLA_FFI_ExecutionContext* ctx; void* stream; };",
 )

@@ -136,8 +136,8 @@ def _load_number(writer: Writer, position: int, kind: str) -> str:
 class Kernel:
     """Compiled code, and the number by which a program calls it.
 
-    It goes with the last program that keeps it: its number then leaves the table, and its machine
-    code the memory, as soon as no call of it is under way.
+    It goes with the last program that keeps it, and the last executable of XLA's that calls it: its
+    number then leaves the table, and its machine code the memory.
     """
 
     def __init__(self, number: int, name: str, engine: Any, key: str):
@@ -154,43 +154,45 @@ class Kernel:
         dispatch.enter_kernel(self.number, self._entry)
 
 
-# Machine code of kernels that were dropped while a call was under way, with their places in the
-# table. A deque: finalizers, in whatever thread, may not wait for a lock.
-_LINGERING: "collections.deque[tuple[int, Any]]" = collections.deque()
+# Numbers, addresses and machine code of kernels that no program keeps, but perhaps an executable. A
+# deque: finalizers, in whatever thread, may not wait for a lock.
+_LINGERING: "collections.deque[tuple[int, int, Any]]" = collections.deque()
 
 
 def _dropped(number: int, entry: int, engine: Any) -> None:
-    """A kernel leaves the table; its machine code, kept by `engine`, goes when nobody is in it."""
-    _LINGERING.append((dispatch.remove(number, entry), engine))
+    """No program keeps a kernel any more, whose machine code `engine` holds."""
+    _LINGERING.append((number, entry, engine))
     free_the_unused()
 
 
 def free_the_unused() -> None:
-    """Frees machine code that lingers, where no call of it is under way any more."""
+    """Frees machine code that lingers, where no executable calls it any more."""
     for _ in range(len(_LINGERING)):
         with contextlib.suppress(IndexError):
-            place, engine = _LINGERING.popleft()
-            if dispatch.is_in_use(place):
-                _LINGERING.append((place, engine))
+            number, entry, engine = _LINGERING.popleft()
+            if dispatch.row_of_kernel(number).executables:
+                _LINGERING.append((number, entry, engine))
+            else:
+                dispatch.remove(number, entry)
 
 
-# JAX computes in the background: a program may have been dropped before its kernels have begun. So
-# those of so many of the latest programs [2 MB each kernel] stay all the same.
-LATEST = 8
-_LATEST: "collections.deque[list]" = collections.deque(maxlen=LATEST)
 # Two threads that compile the same loop share one kernel.
 _BUILDING = threading.RLock()
 _KERNELS: "weakref.WeakValueDictionary[int, Kernel]" = weakref.WeakValueDictionary()
 
 
-def _assembled(program: Program, lanes: int, checked: bool = False) -> tuple[str, int, str]:
-    """The name and the number of a kernel, which its whole text decides, and this."""
+def _assembled(
+    program: Program, lanes: int, checked: bool = False, is_run_once: bool = False
+) -> tuple[str, int, str]:
+    """The name and the number of a kernel, which its whole text and how it is compiled decide, and
+    this text."""
     text = text_of(program, lanes, checked)
     constants, state = avals_of(program)
     array_shapes = list(zip([*constants, *state], in_memory(program), strict=True))
     long = [aval for aval, is_long in array_shapes if is_long]
     shared = [i in program.shared for i, is_long in enumerate(in_memory(program)) if is_long]
     form = f"{lanes}{[a.shape for a in long]}{shared}{program.tables}{program.length}{program.long}"
+    form += "once" if is_run_once else ""
     changed = [floats_in([aval]) for aval in arrays_in_memory(program)]
     mark = hashlib.sha256(f"{text}{form}".encode()).hexdigest()
     name = f"jaxclear_{mark[:24]}"
@@ -207,17 +209,19 @@ def _assembled(program: Program, lanes: int, checked: bool = False) -> tuple[str
     return (name, max(int(mark[:16], 16) >> 1, 1), full_text)
 
 
-def build(program: Program, lanes: int) -> Kernel:
-    """Compile and make known, and check where that is asked for. Raises `Unsupported`."""
+def build(program: Program, lanes: int, is_run_once: bool = False) -> Kernel:
+    """Compile and make known, and check where that is asked for; what runs once is not optimised.
+    Raises `Unsupported`."""
     dispatch.register_with_xla()
     free_the_unused()
-    name, number, text = _assembled(program, lanes)
+    name, number, text = _assembled(program, lanes, is_run_once=is_run_once)
     with _BUILDING:
         kernel = _KERNELS.get(number)
         if kernel is None:
             if check.is_check_enabled():
                 _check_turn(program, lanes)
-            kernel = _register_kernel(number, name, *object_code.load_or_compile(text))
+            code = object_code.load_or_compile(text, is_run_once)
+            kernel = _register_kernel(number, name, *code)
         return kernel
 
 
@@ -262,13 +266,6 @@ def turn_of(program: Program, lanes: int) -> check.Turn:
 def _check_turn(program: Program, lanes: int) -> None:
     """Raises `Unsupported` where one turn of the loop is not what JAX makes of it."""
     check.check(program, turn_of(program, lanes), functools.partial(check.turn_by_jax, program))
-
-
-def keep_kernel(kernel: Kernel, module: Any) -> None:
-    """The program that is being compiled, whose context this is, keeps a kernel."""
-    module.add_keepalive(kernel)
-    if not any(module.keepalives is each for each in _LATEST):
-        _LATEST.append(module.keepalives)
 
 
 def over_numbers(head: str, count: str, lines: str) -> str:

@@ -36,6 +36,7 @@ from jaxclear.multibody.forces import Forces, load_rows
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.rows import forces_on_drives, wrench_in_joint
 from jaxclear.multibody.system import System, films_in
+from jaxclear.native.compiled import compiled_quickly
 from jaxclear.results.state_history import StateHistory, check_name, columns, over_time
 
 # Vectors of a clearance joint and numbers of each of its contacts.
@@ -275,7 +276,7 @@ def body(history: StateHistory, name: str) -> BodyHistory:
     return BodyHistory(com, rotation, velocity, spin, origin, history, name)
 
 
-@eqx.filter_jit
+@compiled_quickly
 def _body_columns(history, name):
     com = sp.vec3(history.mechanism.bodies[name].com)
 
@@ -304,7 +305,7 @@ def solve_instant(history: StateHistory, now: Instant) -> tuple[System, Forces, 
     return system, forces, dynamics.forward_dynamics(system, forces, stabilisation)
 
 
-@eqx.filter_jit
+@compiled_quickly
 def _accelerations_by_body(history):
     """By body that of its centre of mass, and the angular one."""
 
@@ -338,7 +339,7 @@ def contact_impulse(history: StateHistory, name: str) -> Float[Array, " time"]:
     return _impulse_columns(history, name)
 
 
-@eqx.filter_jit
+@compiled_quickly
 def _impulse_columns(history, name):
     model = history.model()
     impulses = history.formulation.normal_impulses(model.system, name)
@@ -351,7 +352,7 @@ def check_contact_joint(history: StateHistory, name: str) -> None:
     check_name(name, history.formulation.contact_joints(history.mechanism), "clearance joint")
 
 
-@eqx.filter_jit
+@compiled_quickly
 def _contact_columns(history, name):
     values = over_time(history, lambda now: history.formulation.contact(now, name)[:-1])
     parts = tuple(map(columns, values))
@@ -406,7 +407,7 @@ def is_unique(history: StateHistory, name: str, what: str) -> bool:
     return False
 
 
-@eqx.filter_jit
+@compiled_quickly
 def _reaction_columns(history, name):
     def one(now):
         system, forces, solution = solve_instant(history, now)
@@ -424,7 +425,7 @@ def _reaction_columns(history, name):
     return ReactionHistory(*map(columns, over_time(history, one)))
 
 
-@eqx.filter_jit
+@compiled_quickly
 def film_loss(history: StateHistory, name: str) -> Any:
     """Mean power [W] that a film takes: that of all steps, or of the saving times where the motion
     is the ideal one."""
@@ -469,7 +470,7 @@ def _wrench_in_ground(now, closure, rows, joint):
     return sp.apply(rotation, wrench.force), sp.apply(rotation, wrench.torque)
 
 
-@eqx.filter_jit
+@compiled_quickly
 def drive_history(history: StateHistory, name: str) -> Float[Array, " time"]:
     """What a drive gives over time [N m, N]."""
 
@@ -488,7 +489,7 @@ def drive_history(history: StateHistory, name: str) -> Float[Array, " time"]:
     return over_time(history, one)
 
 
-@eqx.filter_jit
+@compiled_quickly
 def drift_history(history: StateHistory) -> dict[str, Float[Array, " time"]]:
     """Largest residual [m, 1] of each loop closure, by the joint that closes the loop."""
 
@@ -510,7 +511,7 @@ def energy_history(history: StateHistory) -> EnergyHistory:
     return _energy_columns(history)
 
 
-@eqx.filter_jit
+@compiled_quickly
 def _energy_columns(history):
     def one(now):
         return (
@@ -560,13 +561,13 @@ def _map_over_ends(history: StateHistory, name: str, function: Any) -> Any:
     return over_time(history, one)
 
 
-@eqx.filter_jit
+@compiled_quickly
 def situations(history: StateHistory, name: str) -> Int[Array, " time"]:
     """How a joint carries at every saving time: index into `SITUATIONS`."""
     return _map_over_ends(history, name, situation)
 
 
-@eqx.filter_jit
+@compiled_quickly
 def _sides(history: StateHistory, name: str):
     """Product of the two ends' forces: below zero while they press on opposite sides; and their
     sum.

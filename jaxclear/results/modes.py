@@ -19,7 +19,6 @@ import itertools
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import numpy as np
 import scipy
 
@@ -31,6 +30,7 @@ from jaxclear.ground.warning import warn
 from jaxclear.integrators.events import Events
 from jaxclear.multibody import contact_point, kinematics
 from jaxclear.multibody.topology import moves_along
+from jaxclear.native.compiled import compiled_quickly
 from jaxclear.results.histories import check_contact_joint, contact
 from jaxclear.results.state_history import StateHistory, over_time
 
@@ -169,7 +169,7 @@ def contact_path(history: StateHistory, name: str, noted: Events | None) -> tupl
     return _path_of_deepest(knots, at(0), at(1)), _join_contacts(time, changes_of)
 
 
-@eqx.filter_jit
+@compiled_quickly
 def _indentations(history, name):
     """Indentation [m] of each contact of a joint and its rate [m/s], (time, contacts)."""
 

@@ -34,6 +34,7 @@ from jaxclear.multibody.product_of_exponentials import (
     tip_error,
     transform,
 )
+from jaxclear.native.compiled import compiled_quickly
 from jaxclear.results.trajectory import Trajectory
 
 # How far saving times of two runs may differ, as a share of the duration: rounding.
@@ -60,7 +61,7 @@ def checked_through(through: Any) -> tuple[str, ...]:
     return tuple(through)
 
 
-@eqx.filter_jit
+@compiled_quickly
 def configurations(trajectory: Trajectory, links: Chain) -> ChainConfiguration:
     """How the joints of a chain stand at every saving time."""
     histories = {name: trajectory.body(name) for name in links.bodies}
@@ -128,7 +129,7 @@ def tip_errors(
     return ours, actual, _errors_at(ours, actual, theirs, configurations(nominal, theirs))
 
 
-@eqx.filter_jit
+@compiled_quickly
 def _errors_at(links, actual, other, nominal):
     return jax.vmap(lambda now, then: tip_error(links, now, other, then))(actual, nominal)
 

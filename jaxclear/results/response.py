@@ -31,6 +31,7 @@ from jaxclear.ground.quantity import (
 from jaxclear.ground.wording import described
 from jaxclear.multibody.system import films_in, wearing_in
 from jaxclear.multibody.topology import all_planar, coordinate_units, turns
+from jaxclear.native.compiled import compiled_quickly
 from jaxclear.results import histories
 from jaxclear.results.pointing_error import checked_through, checked_tip, tip_errors
 from jaxclear.results.state_history import StateHistory
@@ -622,7 +623,7 @@ def _peak_over_steps(run: Trajectory, joint: str) -> Scalar:
     return _largest_force(run.history, extremes, joint)
 
 
-@eqx.filter_jit
+@compiled_quickly
 def _largest_force(history: StateHistory, extremes: Extremes, joint: str) -> Scalar:
     """That of the steps' ends and of the deepest indentations. Compiled: outside of a study the
     preparation of the mechanism would cost more than the run."""

@@ -4,7 +4,6 @@ which flank presses."""
 import functools
 from typing import Any
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
@@ -21,6 +20,7 @@ from jaxclear.multibody import constraints
 from jaxclear.multibody.forces import force_of, load_rows, pressing_of
 from jaxclear.multibody.system import coordinate_loads, scale_of
 from jaxclear.multibody.topology import motor_name
+from jaxclear.native.compiled import compiled_quickly
 from jaxclear.results.histories import (
     AbstractHistory,
     drive_history,
@@ -91,7 +91,7 @@ def flank_switchings(history: StateHistory, name: str) -> Any:
     return as_table(rows, columns=["time [s]", "from", "to"])
 
 
-@eqx.filter_jit
+@compiled_quickly
 def _coupling_history(history, name):
     def one(now: Instant):
         force = history.formulation.forces(now).pressing[name]
@@ -120,7 +120,7 @@ def transmitted(history: StateHistory, name: str) -> Float[Array, " time"]:
     return _transmitted_over_time(history, name)
 
 
-@eqx.filter_jit
+@compiled_quickly
 def _force_of_load(history: StateHistory, name: str) -> Float[Array, " time"]:
     """What a load gives along its first coordinate [N m, N]; one whose force steps find as its mean
     over each saving interval."""
@@ -132,7 +132,7 @@ def _force_of_load(history: StateHistory, name: str) -> Float[Array, " time"]:
     return over_time(history, one)
 
 
-@eqx.filter_jit
+@compiled_quickly
 def _transmitted_over_time(history: StateHistory, name: str) -> Float[Array, " time"]:
     return over_time(history, lambda now: sent_at(history, now, (name,))[0])
 

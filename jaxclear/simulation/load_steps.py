@@ -10,7 +10,8 @@ these numbers (`jax.jit` and its like) it is the program that looks, at fewer in
 
 import dataclasses
 import functools
-from collections.abc import Mapping
+import math
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -82,40 +83,6 @@ def check_finite(functions: Mapping[str, Any], times: np.ndarray) -> None:
             )
 
 
-def missed_shares(functions: Mapping[str, Any], edges: np.ndarray) -> dict[str, float]:
-    """By name the share of what each gives that steps with these ends [s] pass over: the largest
-    error of its impulse, beside how far the impulse goes. Of what never changes that is 0."""
-    from scipy.integrate import cumulative_simpson
-
-    count = len(edges) - 1
-    parts = 2 * max(IN_A_STEP // 2, -(-LEAST // (2 * count)))
-    if count * parts > MOST:
-        return {}
-    steps = np.diff(edges)
-    times = edges[:-1, None] + steps[:, None] * np.arange(parts) / parts
-    times = np.append(times.ravel(), edges[-1])
-    shares = dict[str, list[float]]()
-    for name, (rates, exact) in _sample_rates(dict(functions), times).items():
-        exact = (
-            [cumulative_simpson(x, x=times, initial=0) for x in rates] if exact is None else exact
-        )
-        shares[name] = [_share(*pair, steps, parts) for pair in zip(rates, exact, strict=True)]
-    return {name: max(each, default=0.0) for name, each in shares.items()}
-
-
-def _share(rate: np.ndarray, impulse: np.ndarray, steps: np.ndarray, parts: int) -> float:
-    """The largest error of an impulse, beside how far it goes: by the end of each step what
-    Simpson's rule over all of them is off by."""
-    begin, middle, end = rate[:-1:parts], rate[parts // 2 :: parts], rate[parts::parts]
-    integral = np.cumsum(steps * (begin + 4 * middle + end) / 6)
-    missed = integral - (impulse[parts::parts] - impulse[0])
-    # What the next step makes up for is nothing that a body feels.
-    lasting = np.minimum(np.abs(missed), np.abs(np.append(missed[1:], missed[-1])))
-    largest, total = lasting.max(), np.ptp(impulse)
-    rounding = len(impulse) * np.finfo(float).eps * np.abs(impulse).max()
-    return float(largest / total) if total > rounding and np.isfinite(largest) else 0.0
-
-
 @compiled_quickly
 def _rates_and_integrals(functions: dict[str, Any], times: jax.Array) -> dict[str, tuple]:
     """Of each function its rates, and their integrals where these are known, at these times."""
@@ -143,23 +110,6 @@ def _sample_rates(functions: dict[str, Any], times: np.ndarray) -> dict[str, tup
     rows = jnp.asarray(padded.reshape(-1, TOGETHER))
     values = [jax.device_get(_rates_and_integrals(functions, row)) for row in rows]
     return jax.tree.map(lambda *parts: np.concatenate(parts)[: len(times)], *values)
-
-
-def step_ends(times: np.ndarray, step: float | None, fixed: int | None = None) -> np.ndarray | None:
-    """Ends of the steps of a run [s]; None where they are too many to look at.
-
-    Args:
-        times: saving times of the run [s].
-        step: longest step [s]; None: no bound.
-        fixed: number of steps between saving times; None: decided by `step`.
-    """
-    intervals = np.diff(times)
-    counts = np.maximum(np.ceil(intervals / (step or np.inf) * (1 - SLIVER)), fixed or 1)
-    if np.sum(counts) * IN_A_STEP > MOST:
-        return None
-    pairs = zip(times[:-1], intervals, counts.astype(int), strict=True)
-    inside = [begin + length * np.arange(count) / count for begin, length, count in pairs]
-    return np.append(np.concatenate(inside), times[-1])
 
 
 class LoadSteps(NamedTuple):
@@ -204,7 +154,7 @@ def _examine(functions: dict[str, Any], integrator: AbstractIntegrator, times: A
     if is_traced((functions, step, integrator.breaks, times)):
         changing = constant({name: f for name, f in functions.items() if is_changing(f)})
         if step is not None or fixed is not None:
-            return LoadSteps(integrator, _traced_shares(changing, *constant((times, step, fixed))))
+            return LoadSteps(integrator, missed_shares(changing, *constant((times, step, fixed))))
         return LoadSteps(_with_traced_breaks(integrator, changing, constant(times)), {})
     step, functions = concrete(step), on_host(functions)
     # What is known of them is looked at, also where something else is being traced.
@@ -230,10 +180,10 @@ def _find_breaks(question: Key) -> tuple[np.ndarray, dict[str, float]]:
     everything, times, step, fixed = question.arguments
     functions = {name: each for name, each in everything.items() if is_changing(each)}
     check_finite(functions, times)
-    edges = step_ends(times, step, fixed) if step is not None or fixed is not None else None
-    missed = missed_shares(functions, edges) if functions and edges is not None else {}
-    if not functions or step is not None or fixed is not None:
-        return np.zeros(0), missed
+    if not functions:
+        return np.zeros(0), {}
+    if step is not None or fixed is not None:
+        return np.zeros(0), missed_shares(functions, times, step, fixed)
     looks = np.linspace(times[0], times[-1], LEAST + 1)
     rates = [rate for column, _ in _sample_rates(functions, looks).values() for rate in column]
     return np.concatenate([_times_of_change(rate, looks) for rate in rates]), {}
@@ -254,61 +204,115 @@ def _times_of_change(rate: Any, looks: Any) -> Any:
     return jnp.append(looks, jnp.inf)[chosen]
 
 
-def _traced_shares(functions: dict[str, Any], times: Any, step: Any, fixed: Any) -> dict[str, Any]:
+def missed_shares(
+    functions: Mapping[str, Any], times: Any, step: Any, fixed: int | None = None
+) -> dict[str, Any]:
+    """By name the share of what each gives that steps pass over: the largest error of its impulse,
+    beside how far the impulse goes. Of what never changes that is 0, of too many steps nothing.
+
+    Args:
+        functions: loads and drives by name.
+        times: saving times of the run [s].
+        step: longest step [s]; None: no bound.
+        fixed: number of steps between saving times; None: decided by `step`.
+    """
+    if is_traced((functions, times, step)):
+        return {name: _traced_share(f, times, step, fixed) for name, f in functions.items()}
+    total, edge_at = _find_edges(times, step, fixed)
+    parts = 2 * max(IN_A_STEP // 2, math.ceil(LEAST / (2 * total)))
+    if total * parts > MOST:
+        return {}
+    edges, shares = edge_at(np.arange(total + 1)), {}
+    for name, values in _sample_rates(dict(functions), _instants(edges, parts)).items():
+        shares[name] = float(_share(_add_steps(_nothing(len(values[0])), edges, *values), total))
+    return shares
+
+
+def _find_edges(times: Any, step: Any, fixed: int | None) -> tuple[Any, Callable]:
+    """The number of steps of a run, and a function from their numbers to where they begin [s]."""
+    of = jnp if is_traced((times, step)) else np
+    intervals = of.diff(times)
+    lengths = of.inf if step is None else step
+    counts = of.maximum(of.ceil(intervals / lengths * (1 - SLIVER)), fixed or 1)
+    ends = of.cumsum(counts)
+
+    def edge_at(index):
+        i = of.minimum(of.searchsorted(ends, index, side="right"), len(intervals) - 1)
+        done = (index - (ends[i] - counts[i])) / counts[i]
+        return of.asarray(times)[i] + intervals[i] * of.minimum(done, 1.0)
+
+    return ends[-1], edge_at
+
+
+def _instants(edges: Any, parts: int) -> Any:
+    """Instants [s], so many in each step, and the last edge."""
+    of = jnp if is_traced(edges) else np
+    inside = edges[:-1, None] + of.diff(edges)[:, None] * np.arange(parts) / parts
+    return of.append(inside.ravel(), edges[-1])
+
+
+def _nothing(count: int) -> tuple:
+    """What `_add_steps` adds to, at the start."""
+    return (np.zeros(count),) * 5
+
+
+def _add_steps(sums: tuple, edges: Any, rates: list, integrals: list | None) -> tuple:
+    """Largest lasting error of the impulse, what is missed so far, the impulse so far, its least
+    and most, behind further steps, of which Simpson's rule sees ends and middles.
+
+    Args:
+        sums: the same before them.
+        edges: of the steps [s].
+        rates: at equal numbers of instants in each step, a list of histories.
+        integrals: likewise; None: not known, so taken by Simpson's rule over these instants.
+    """
+    of = jnp if is_traced((edges, rates)) else np
+    lasting, missed, impulse, least, most = sums
+    rate, steps = of.stack(rates), of.diff(edges)
+    parts = (rate.shape[1] - 1) // len(steps)
+    by_simpson = lambda n: rate[:, :-n:n] + 4 * rate[:, n // 2 :: n] + rate[:, n::n]
+    if integrals is None:
+        changes = by_simpson(2) * of.repeat(steps / (3 * parts), parts // 2)
+    else:
+        changes = of.diff(of.stack(integrals))
+    in_steps = changes.reshape(len(rates), len(steps), -1).sum(axis=-1)
+    errors = missed[:, None] + of.cumsum(steps * by_simpson(parts) / 6 - in_steps, axis=1)
+    impulses = impulse[:, None] + of.cumsum(changes, axis=1)
+    sizes = abs(of.column_stack([missed, errors]))
+    # What the next step makes up for is nothing that a body feels.
+    lasting = of.maximum(lasting, of.minimum(sizes[:, 1:], sizes[:, :-1]).max(axis=1))
+    least = of.minimum(least, impulses.min(axis=1))
+    most = of.maximum(most, impulses.max(axis=1))
+    return lasting, errors[:, -1], impulses[:, -1], least, most
+
+
+def _share(sums: tuple, count: Any) -> Any:
+    """The largest error of an impulse beside how far it goes, behind so many steps."""
+    of = jnp if is_traced(sums) else np
+    lasting, missed, _, least, most = sums
+    # The last step has none behind it that would make up for it.
+    largest, total = of.maximum(lasting, abs(missed)), most - least
+    rounding = count * np.finfo(float).eps * of.maximum(abs(most), abs(least))
+    known = (total > rounding) & of.isfinite(largest)
+    return of.max(of.where(known, largest / of.where(known, total, 1.0), 0.0), initial=0.0)
+
+
+def _traced_share(function: Any, times: Any, step: Any, fixed: int | None) -> Any:
     """As `missed_shares`, of numbers that a program traces: some steps at once."""
-    times = jnp.asarray(times)
-    intervals = jnp.diff(times)
-    lengths = jnp.inf if step is None else step
-    counts = jnp.maximum(jnp.ceil(intervals / lengths * (1 - SLIVER)), fixed or 1)
-    counts = jnp.where(jnp.sum(counts) <= MOST, counts, 0.0)
-    ends = jnp.cumsum(counts)
+    values_at = jax.vmap(functools.partial(_at, function))
+    rates, integrals = jax.eval_shape(functools.partial(_at, function), 0.0)
+    parts = TRACED_IN_A_STEP if integrals is None else 2
+    total, edge_at = _find_edges(jnp.asarray(times), step, fixed)
 
-    def edges(first):
-        index = first + jnp.arange(TRACED_TOGETHER + 1.0)
-        i = jnp.minimum(jnp.searchsorted(ends, index, side="right"), len(intervals) - 1)
-        done = (index - (ends[i] - counts[i])) / jnp.maximum(counts[i], 1.0)
-        return times[i] + intervals[i] * jnp.minimum(done, 1.0)
+    def look(carry):
+        first, sums = carry
+        edges = edge_at(first + jnp.arange(TRACED_TOGETHER + 1.0))
+        sums = _add_steps(sums, edges, *values_at(_instants(edges, parts)))
+        return first + TRACED_TOGETHER, sums
 
-    def share(function):
-        values_at = jax.vmap(functools.partial(_at, function))
-        exact = jax.eval_shape(functools.partial(_at, function), 0.0)[1] is not None
-        parts = 2 if exact else TRACED_IN_A_STEP
-
-        def look(carry):
-            """Largest lasting error, what is missed so far, impulse so far, its least and most."""
-            first, (lasting, missed, impulse, least, most) = carry
-            at = edges(first)
-            steps = jnp.diff(at)
-            looks = at[:-1, None] + steps[:, None] * (jnp.arange(parts) / parts)
-            rates, integrals = values_at(jnp.append(looks.ravel(), at[-1]))
-            rate = jnp.stack(rates)
-            if exact:
-                change = jnp.diff(jnp.stack(integrals)[:, ::parts])
-            else:
-                means = 0.5 * (rate[:, 1:] + rate[:, :-1])
-                change = means.reshape(len(rates), -1, parts).mean(axis=-1) * steps
-            simpson = rate[:, :-1:parts] + 4 * rate[:, parts // 2 :: parts] + rate[:, parts::parts]
-            errors = missed[:, None] + jnp.cumsum(steps * simpson / 6 - change, axis=1)
-            impulses = impulse[:, None] + jnp.cumsum(change, axis=1)
-            sizes = jnp.abs(jnp.column_stack([missed, errors]))
-            # What the next step makes up for is nothing that a body feels.
-            lasting = jnp.maximum(lasting, jnp.minimum(sizes[:, 1:], sizes[:, :-1]).max(axis=1))
-            least = jnp.minimum(least, impulses.min(axis=1))
-            most = jnp.maximum(most, impulses.max(axis=1))
-            carry = lasting, errors[:, -1], impulses[:, -1], least, most
-            return first + TRACED_TOGETHER, carry
-
-        none = jnp.zeros(len(jax.eval_shape(functools.partial(_at, function), 0.0)[0]))
-        start = jnp.zeros(()), (none,) * 5
-        end = jax.lax.while_loop(lambda carry: carry[0] < ends[-1], look, start)[1]
-        lasting, missed, _, least, most = end
-        # The last step has none behind it that would make up for it.
-        largest, total = jnp.maximum(lasting, jnp.abs(missed)), most - least
-        rounding = ends[-1] * jnp.finfo(float).eps * jnp.maximum(abs(most), abs(least))
-        known = (total > rounding) & jnp.isfinite(largest)
-        return jnp.max(jnp.where(known, largest / jnp.where(known, total, 1.0), 0.0), initial=0.0)
-
-    return {name: share(function) for name, function in functions.items()}
+    last = jnp.where(total <= MOST, total, 0.0)
+    start = jnp.zeros(()), tuple(map(jnp.asarray, _nothing(len(rates))))
+    return _share(jax.lax.while_loop(lambda carry: carry[0] < last, look, start)[1], total)
 
 
 def _with_traced_breaks(
@@ -330,19 +334,19 @@ def _with_traced_breaks(
 
 
 class _AlongRun(eqx.Module):
-    """What a load does along a run, as a function of time [s]: coordinates and speeds are
-    polynomials between its saving times."""
+    """What a load does along a run, as a function of time [s]: coordinates are cubic polynomials
+    between its saving times."""
 
     load: Any
     times: Any
-    places: Any
-    speeds: Any
+    pieces: Any
 
     def __call__(self, time):
         i = jnp.clip(jnp.searchsorted(self.times, time, side="right") - 1, 0, len(self.times) - 2)
-        at = lambda pieces: tuple(jnp.polyval(pieces[:, i], time - self.times[i]))
+        place_at = lambda after: jnp.polyval(self.pieces[:, i], after)
+        places, speeds = jax.jvp(place_at, (time - self.times[i],), (1.0,))
         states = tuple(jnp.asarray(each.start, float) for each in self.load.states())
-        return self.load.effect(time, at(self.places), at(self.speeds), states).forces
+        return self.load.effect(time, tuple(places), tuple(speeds), states).forces
 
 
 def felt_along(run: Trajectory, integrator: AbstractIntegrator) -> LoadSteps:
@@ -357,14 +361,16 @@ def felt_along(run: Trajectory, integrator: AbstractIntegrator) -> LoadSteps:
         and acts_on_coordinates(load)
         and load.sampled_every() is None
     }
-    if not loads or is_traced(run) or not run.succeeded:
+    if not loads or not (is_traced(run) or run.succeeded):
         return LoadSteps(integrator, {})
-    from scipy.interpolate import CubicHermiteSpline
-
-    functions, times = {}, run.time
+    functions, times, of = {}, run.time, jnp if is_traced(run) else np
+    lengths = of.diff(times)[:, None]
     for name, load in loads.items():
-        read = lambda what, load=load: np.stack([np.ravel(what(x)) for x in load.coordinates()], 1)
-        path = CubicHermiteSpline(np.asarray(times), read(run.coordinate), read(run.speed))
-        pieces = jnp.asarray(path.c), jnp.asarray(path.derivative().c)
-        functions[name] = _AlongRun(load, jnp.asarray(times), *pieces)
+        read = lambda what, load=load: of.stack([of.ravel(what(x)) for x in load.coordinates()], 1)
+        places, speeds = read(run.coordinate), read(run.speed)
+        slopes, begin, end = of.diff(places, axis=0) / lengths, speeds[:-1], speeds[1:]
+        cubic = (begin + end - 2 * slopes) / lengths**2
+        square = (3 * slopes - 2 * begin - end) / lengths
+        pieces = jnp.asarray(of.stack([cubic, square, begin, places[:-1]]))
+        functions[name] = _AlongRun(load, jnp.asarray(times), pieces)
     return _examine(functions, integrator, times)

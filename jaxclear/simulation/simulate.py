@@ -26,13 +26,13 @@ from jaxclear.errors.verification import Replica, verify_run
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_flags, check_number, expect
 from jaxclear.ground.precision import check_double_precision
-from jaxclear.ground.quantity import is_traced, on_host, with_quantities
+from jaxclear.ground.quantity import is_traced, on_host, with_numbers_alone, with_quantities
 from jaxclear.ground.recent_results import Key, Latest, Value
 from jaxclear.ground.warning import count_warnings
 from jaxclear.integrators.adaptive import Adaptive
 from jaxclear.integrators.base import AbstractIntegrator
 from jaxclear.integrators.checks import Outcome
-from jaxclear.multibody.mechanism import Mechanism, stabilised_as_needed
+from jaxclear.multibody.mechanism import Mechanism, check_mechanism, stabilised_as_needed
 from jaxclear.multibody.system import wearing_in
 from jaxclear.native import forwards_only, has_kernels, stoppable
 from jaxclear.native.compiled import AROUND_A_KERNEL, compiled_for_kernels, compiled_quickly
@@ -130,6 +130,7 @@ def _form_of_mechanism(mechanism: Mechanism, integrator: AbstractIntegrator) -> 
 
 def _check_suited(mechanism: Mechanism, integrator: AbstractIntegrator) -> None:
     name = f"integrator.{type(integrator).__name__}"
+    check_mechanism(mechanism, "what is simulated")
     mechanism = on_host(mechanism)
     joints = stabilised_as_needed(mechanism, integrator.opens_loops)
     if joints.projects and not integrator.projects:
@@ -332,7 +333,8 @@ def _simulate_once(
 
         with stoppable():
             run = again(Replica(integrator, saved))
-            for _ in range(2):
+            # A program repeats it once, whatever it feels: what is traced cannot decide.
+            for _ in range(1 if is_traced(run.outcome) else 2):
                 refined, more = felt_along(run, integrator)
                 shares = shares | more
                 if refined is integrator:
@@ -344,6 +346,8 @@ def _simulate_once(
                 ended = jnp.where(sound, run.ended, saved[0])
                 run = dataclasses.replace(run, outcome=outcome, ended=ended)
         run = verify_run(run, integrator, again, how.verify, bounds)
+        if is_traced(run.outcome):
+            run = with_numbers_alone(run)
     return dataclasses.replace(run, assembly_warnings=(doubt,)) if doubt else run
 
 

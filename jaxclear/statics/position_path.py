@@ -24,7 +24,7 @@ from jaxclear.ground.quantity import is_traced, with_quantities
 from jaxclear.ground.wording import described
 from jaxclear.multibody import constraints
 from jaxclear.multibody.assembly import nearest, ready
-from jaxclear.multibody.mechanism import Mechanism
+from jaxclear.multibody.mechanism import Mechanism, check_mechanism
 from jaxclear.multibody.redundancy import DEPENDENT, is_new, rank_of
 from jaxclear.multibody.start_check import EXACT
 from jaxclear.multibody.start_constraints import speed_scales
@@ -382,7 +382,7 @@ def positions(
         ValueError: if an argument is wrong, or the mechanism cannot reach a position.
     """
     check_double_precision()
-    expect(mechanism, Mechanism, "what is positioned", "a jaxclear.Mechanism")
+    check_mechanism(mechanism, "what is positioned")
     check_flags("positions", reverse_loads=reverse_loads)
     drives, places = checked_positions(positions)
     scene, method, starts = sought(with_quantities(mechanism), drives, places)

@@ -26,7 +26,6 @@ from jaxclear.formulations.permanent_reactions import ReactionNotUnique
 from jaxclear.formulations.rigid import FrictionUnknown
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.argument_errors import answering
-from jaxclear.ground.arguments import expect
 from jaxclear.ground.pose import frame_with_axis, quaternion_from_rotation
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.quantity import as_vector, with_quantities
@@ -37,7 +36,7 @@ from jaxclear.multibody.assembly import ready, ready_from_state
 from jaxclear.multibody.contact_point import laws_now
 from jaxclear.multibody.length_scales import narrowest_gap
 from jaxclear.multibody.magnitudes import UnusualMagnitude
-from jaxclear.multibody.mechanism import Mechanism, rebuilt
+from jaxclear.multibody.mechanism import Mechanism, check_mechanism, rebuilt
 from jaxclear.multibody.newton import blocks_of, closed
 from jaxclear.multibody.start_equations import (
     LOOP,
@@ -93,7 +92,7 @@ def resting_state(mechanism: Mechanism, worn: Any = None) -> State:
         ValueError: if for some joint it is not known where a load presses it, or no rest is found.
     """
     check_double_precision()
-    expect(mechanism, Mechanism, "the argument of resting_state", "a jaxclear.Mechanism")
+    check_mechanism(mechanism, "the argument of resting_state")
     mechanism = with_quantities(mechanism)
     surfaces = initial_depths(mechanism, worn)
     if not mechanism.topology.clearances:

@@ -26,8 +26,8 @@ from jaxclear.studies.distribution import (
     TruncatedNormal,
 )
 
-# Runs come in chunks of no fewer samples than these, where there are as many.
-LEAST_CHUNK = 64
+# Samples come in multiples of these, copies of the last one where there are fewer.
+LANES = 8
 # All parts of a run that its warnings may concern.
 PARTS = frozenset(check.concerns for check in Check)
 

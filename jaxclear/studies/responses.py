@@ -12,7 +12,7 @@ from jaxclear.ground.arguments import expect
 from jaxclear.ground.quantity import inside, is_one_number, numbers
 from jaxclear.ground.warning import call_user, shape_of
 from jaxclear.ground.wording import described
-from jaxclear.multibody.mechanism import Mechanism
+from jaxclear.multibody.mechanism import Mechanism, check_mechanism
 from jaxclear.results.response import AbstractSignal
 from jaxclear.studies.experiment import check_names_differ
 from jaxclear.studies.variable import check_variables
@@ -37,7 +37,7 @@ def checked_question(
     Raises:
         ValueError: something is not what it must be.
     """
-    expect(mechanism, Mechanism, f"the mechanism of a {owner}", "a jaxclear.Mechanism")
+    check_mechanism(mechanism, f"the mechanism of a {owner}")
     responses, varied = by_name("response", response), by_name("variables", variables)
     check_responses(responses, varied, of)
     check_variables(varied, mechanism)

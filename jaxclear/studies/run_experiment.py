@@ -12,7 +12,6 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
 from jaxclear.errors.observables import GAPS
@@ -74,7 +73,7 @@ from jaxclear.studies.chosen_integrator import (
     unasked,
 )
 from jaxclear.studies.experiment import (
-    LEAST_CHUNK,
+    LANES,
     PARTS,
     AbstractExperiment,
     Cost,
@@ -256,7 +255,7 @@ class RunExperiment(AbstractExperiment):
         )
         counting = self.integrator
         if mechanism.topology.clearances:
-            counting = counting.counting_in(*_gap_and_arm(mechanism))
+            counting = counting.counting_in(*_lengths(mechanism)[:2])
         how = replica(counting, self._times(), share)
         if how is None:
             return None
@@ -277,7 +276,7 @@ class RunExperiment(AbstractExperiment):
         if batch is None:
             batch = LARGEST_BY_KERNELS if has_kernels() else LARGEST_ELSEWHERE
         else:
-            near = max(NEAR_A_CORE // max(memory, 1), LEAST_CHUNK)
+            near = max(NEAR_A_CORE // max(memory, 1), LANES)
             batch = min(batch, 1 << (near.bit_length() - 1))
         # Runs of no length.
         idle = with_fields(self, duration=on_device(0.0))
@@ -351,10 +350,11 @@ def _state_and_cell_counts(mechanism: Mechanism) -> tuple[int, int]:
 
 
 @compiled_quickly
-def _gap_and_arm(mechanism: Mechanism) -> tuple[Array, Array]:
-    """The narrowest gap and the longest arm of a mechanism [m]."""
+def _lengths(mechanism: Mechanism) -> tuple[Array, Array, Array]:
+    """The narrowest gap, the longest arm and the widest room of a mechanism [m]."""
     system = prepare(mechanism)
-    return narrowest_gap(system), longest_arm(system)
+    widest = jnp.max(rooms(system), initial=0.0) if system.bearings else jnp.zeros(())
+    return narrowest_gap(system), longest_arm(system), widest
 
 
 def _answers(experiment: RunExperiment, setting: Setting, discrete: bool) -> SampleResult:
@@ -433,6 +433,5 @@ def _length_scale(mechanism: Mechanism, unit: str) -> float:
     """Of what goes by a unit the least way that places are measured beside."""
     if unit != "m":
         return 1.0 if unit == "rad" else 0.0
-    system = prepare(mechanism)
-    widest = float(np.max(np.asarray(rooms(system)), initial=0.0)) if system.bearings else 0.0
-    return max(float(longest_arm(system)), GAPS * widest)
+    _, arm, widest = map(float, _lengths(mechanism))
+    return max(arm, GAPS * widest)

@@ -14,6 +14,7 @@ from jaxclear.errors import verification
 from jaxclear.errors.estimates import HALF
 from tests.extension.test_contact_law import Cushion
 from tests.rigs.bouncing_journal import CLEARANCE, GRAVITY, MASS, falling
+from tests.rigs.cells import slow
 from tests.rigs.loaded_bearing import loaded_bearing
 from tests.rigs.wearing_ring import RADIUS, SAVES, TURN, ClosedForm, wearing_ring
 
@@ -55,7 +56,7 @@ STEPS = {
     [
         "rk4",
         "implicit",
-        *(pytest.param(n, marks=pytest.mark.slow) for n in ("semi_implicit", "heun")),
+        *slow("semi_implicit", "heun"),
     ],
 )
 def test_three_lengths_of_steps_show_the_known_order(name, monkeypatch):
@@ -146,7 +147,7 @@ def test_archards_law_at_a_constant_load_is_within_its_told_error():
     assert abs(float(deepest.value) - depth) <= float(deepest.error) + beside * depth
 
 
-@pytest.mark.parametrize("rung", ["fixed", pytest.param("implicit", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("rung", ["fixed", *slow("implicit")])
 def test_what_a_loaded_bearing_loses_is_told_with_its_error(rung):
     rig = loaded_bearing(200.0, jc.friction.CoulombTanh(mu_kinetic=0.1), sliding=True)
     run = jc.simulate(rig, 0.02, save=21, integrator=RUNGS[rung])
@@ -183,7 +184,7 @@ def slider_crank(seed):
 
 
 # Of one law, and so one program; the places of the last are off by 2.4 % of the clearance.
-@pytest.mark.parametrize("seed", [8, pytest.param(10, marks=pytest.mark.slow), 11])
+@pytest.mark.parametrize("seed", [8, *slow(10), 11])
 def test_places_in_a_gap_are_told_as_far_off_as_they_are(seed):
     clearance, rig = slider_crank(seed)
     run = jc.simulate(rig, 0.15, save=301)

@@ -12,6 +12,7 @@ import pytest
 
 import jaxclear as jc
 from jaxclear.laws.rebound import damping_ratio_of, restitution_of
+from tests.rigs.cells import slow
 
 MASS, SPEED, GRAVITY = 2.0, 1.5, 10.0
 RIGID = jc.integrator.MoreauJean(1e-4)
@@ -200,7 +201,7 @@ HOLDING = {
 }
 
 
-@pytest.mark.parametrize("kind", ["compliant", "rigid", pytest.param("permanent", marks=SLOW)])
+@pytest.mark.parametrize("kind", ["compliant", "rigid", *slow("permanent")])
 def test_friction_holds_under_a_ramp_and_breaks_away_at_its_torque(kind):
     """5 N of friction under 2 t N: at rest up to 2.5 s, then m q'' = 2 t - 5."""
     integrator, accuracy = HOLDING[kind]
@@ -342,9 +343,7 @@ REVERSING = {
 }
 
 
-@pytest.mark.parametrize(
-    "kind", ["permanent", *(pytest.param(n, marks=SLOW) for n in ("compliant", "rigid"))]
-)
+@pytest.mark.parametrize("kind", ["permanent", *slow("compliant", "rigid")])
 def test_reversal_value_of_a_load_held_by_friction_is_play_and_wind_up(kind):
     """2 b + 2 t / k, with a servo that sees the motor."""
     integrator, _, accuracy = REVERSING[kind]

@@ -90,6 +90,7 @@ def planetary():
     return tied({"willis": jc.coupling.Differential("R", "S", "C", SUN / RING)})
 
 
+@pytest.mark.slow
 def test_a_planetary_set_turns_as_willis_says():
     rig = planetary().with_coupling("willis", None)
     rig = rig.with_coupling("inner", PlanetMesh("S", "C", "P", SUN, PLANET))
@@ -302,6 +303,7 @@ def tied_twice(second):
     return jc.Mechanism(plain.bodies, plain.connections, plain.loads, couplings=couplings)
 
 
+@pytest.mark.slow
 def test_shares_of_couplings_that_say_the_same_are_not_unique():
     """Two equal rows: any split meets the equations; a chain of two has one."""
     run = jc.simulate(tied_twice(jc.coupling.Ratio("B", "A", -1 / 3)), 1e-3, save=2)
@@ -364,6 +366,7 @@ def test_bearings_carry_both_strands_of_a_belt(radius, crossed, turned):
         assert found == pytest.approx(carried_by(tight, slack, sine), rel=1e-9)
 
 
+@pytest.mark.slow
 def test_the_shaft_of_a_chain_carries_its_tight_strand():
     """4 N m on 40 mm: 100 N, whichever way."""
     chain = jc.coupling.Belt("A", "B", 0.04, 0.06)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
+from tests.rigs.cells import slow
 
 SMOOTH = jc.friction.CoulombTanh(mu_kinetic=0.2, transition_speed=1e-2)
 WEARS = jc.Wearing(jc.wear.Archard(wear_coefficient=1e-3, hardness=1e9), cells=(8, 1))
@@ -108,12 +109,12 @@ MIXED = {
 }
 CASES = {
     "gaps, implicit": (GAPS, IMPLICIT),
-    "gaps, rigid": (GAPS, RIGID),
-    "film and gap": (FILM, IMPLICIT),
-    "servos": ({"loads": _servos}, EXPLICIT),
     "gears": ({"couplings": _gears}, IMPLICIT),
 }
 SLOW = {
+    "gaps, rigid": (GAPS, RIGID),
+    "film and gap": (FILM, IMPLICIT),
+    "servos": ({"loads": _servos}, EXPLICIT),
     "gaps, explicit": (GAPS, EXPLICIT),
     "gaps, adaptive": (GAPS, ADAPTIVE),
     "films": (FILMS, IMPLICIT),
@@ -154,9 +155,7 @@ def _numbers(case, names):
     return _numbers_by_place(run, names)
 
 
-@pytest.mark.parametrize(
-    "case", [*CASES, *(pytest.param(case, marks=pytest.mark.slow) for case in SLOW)]
-)
+@pytest.mark.parametrize("case", [*CASES, *slow(*SLOW)])
 def test_names_do_not_matter(case):
     one, other = (_numbers(case, names) for names in (("a", "b"), ("b", "a")))
     assert one.keys() == other.keys()

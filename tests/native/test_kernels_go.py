@@ -1,16 +1,16 @@
 """Kernels go with the programs that call them, and a program whose kernel has gone says so."""
 
-import collections
-import ctypes
 import gc
 import os
 import threading
-import time
-import weakref
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 import pytest
+from jax._src import pjit
+from jax._src.interpreters import pxla
+from jax.experimental import serialize_executable
 
 import jaxclear  # noqa: F401  (float64)
 from jaxclear.native import dispatch, kernel, while_loop
@@ -23,16 +23,29 @@ def program(number, terms=3):
         return 0.1 * sum(jnp.sin(x * k + number) for k in range(terms))
 
     run = jax.jit(
-        lambda x: while_loop(lambda s: s[0] < 3, lambda s: (s[0] + 1, step(s[1])), (0, x))
+        lambda x: while_loop(lambda s: s[0] < 3, lambda s: (s[0] + 1, step(s[1])), (0, x))[1]
     )
-    return run, run(jnp.ones(3))[1]
+    return run, run(jnp.ones(3))
 
 
-@pytest.fixture
-def latest(monkeypatch):
-    """So few programs count as the latest, which keep their kernels."""
-    monkeypatch.setattr(kernel, "LATEST", 2)
-    monkeypatch.setattr(kernel, "_LATEST", collections.deque(maxlen=2))
+def empty_caches_of_python():
+    """What happens to the oldest program when JAX has compiled 2048 others: its caches in Python
+    forget it, and that of `jax.jit` in C++ does not."""
+    for cache in (pjit._pjit_lower, pxla._cached_compilation, pxla._cached_lowering_to_hlo):
+        cache.cache_clear()
+    gc.collect()
+
+
+def new_row(before):
+    """The row in the table of the one kernel that is new."""
+    (number,) = set(kernel._KERNELS) - before
+    return dispatch.row_of_kernel(number)
+
+
+def is_in_table(row):
+    gc.collect()
+    kernel.free_the_unused()
+    return bool(row.address)
 
 
 def resident():
@@ -42,19 +55,43 @@ def resident():
         return int(file.read().split()[1]) * 4096
 
 
-def test_kernels_are_freed_with_their_programs(latest):
-    kept, _ = program(0.5)
+def test_kernels_are_freed_with_their_programs():
+    cached, expected = program(0.5)
     gc.collect()
-    table, known = dispatch.size(), len(kernel._KERNELS)
-    for number in range(2 * kernel.LATEST):
+    kernel.free_the_unused()
+    table, kernels = dispatch.size(), len(kernel._KERNELS)
+    for number in range(3):
         program(number)
     gc.collect()
-    # The latest ones stay: a run of them may not have ended.
-    assert dispatch.size() <= table + kernel.LATEST
-    assert len(kernel._KERNELS) <= known + kernel.LATEST
-    again, wanted = program(0.5)
-    assert jnp.array_equal(kept(jnp.ones(3))[1], wanted)
-    del again
+    kernel.free_the_unused()
+    assert dispatch.size() <= table and len(kernel._KERNELS) <= kernels
+    assert jnp.array_equal(cached(jnp.ones(3)), expected)
+
+
+def test_a_program_runs_when_only_its_executable_is_left_and_its_kernel_goes_with_it():
+    before = set(kernel._KERNELS)
+    run, expected = program(1.5)
+    row = new_row(before)
+    empty_caches_of_python()
+    assert row.number not in kernel._KERNELS
+    assert is_in_table(row) and row.executables == 1
+    assert jnp.array_equal(run(jnp.ones(3)), expected)
+    del run
+    assert not is_in_table(row) and row.executables == 0
+
+
+def test_a_program_from_disk_keeps_its_kernel_though_it_is_there_before_it():
+    before = set(kernel._KERNELS)
+    run, expected = program(2.5)
+    row = new_row(before)
+    content, *trees = serialize_executable.serialize(run.lower(jnp.ones(3)).compile())
+    loaded = serialize_executable.deserialize_and_load(content, *trees)
+    assert row.executables >= 2
+    del run
+    empty_caches_of_python()
+    assert jnp.array_equal(loaded(jnp.ones(3)), expected)
+    del loaded
+    assert not is_in_table(row) and row.executables == 0
 
 
 @pytest.mark.skipif(not os.path.exists("/proc/self/statm"), reason="no /proc here")
@@ -70,74 +107,61 @@ def test_memory_stays_flat_when_programs_are_dropped():
 
 
 def test_a_program_whose_kernel_has_gone_says_so():
+    before = set(kernel._KERNELS)
     run, _ = program(7.5)
-    own = [k for k in kernel._KERNELS.values() if dispatch.TABLE[2 * dispatch._place(k.number)]]
-    addresses = {k.number: k._entry for k in own}
+    row = new_row(before)
+    address = row.address
+    dispatch.remove(row.number, address + 1)
+    assert row.address == address
     try:
-        for number, address in addresses.items():
-            dispatch.remove(number, address)
+        dispatch.remove(row.number, address)
         with pytest.raises(ValueError, match="kernel of this program"):
             jax.block_until_ready(run(jnp.zeros(3)))
     finally:
-        for number, address in addresses.items():
-            dispatch.enter_kernel(number, address)
-    assert jnp.isfinite(run(jnp.zeros(3))[1]).all()
+        dispatch.enter_kernel(row.number, address)
+    assert jnp.isfinite(run(jnp.zeros(3))).all()
 
 
-def test_another_kernel_takes_the_place_of_one_that_has_gone(monkeypatch):
-    """Numbers that begin at one place of the table stand behind each other."""
-    monkeypatch.setattr(dispatch, "TABLE", (ctypes.c_int64 * (2 * dispatch.PLACES))())
-    first, second, third = (1 + k * dispatch.PLACES for k in range(3))
-    dispatch.enter_kernel(first, 11)
-    dispatch.enter_kernel(second, 22)
-    dispatch.remove(first, 99)
-    assert dispatch.size() == 2
+def test_numbers_that_begin_at_one_row_stand_behind_each_other():
+    first, second = (123 + k * dispatch.ROWS for k in (1, 2))
+    rows = [dispatch.row_of_kernel(number) for number in (first, second)]
+    assert [row.number for row in rows] == [first, second]
+    assert dispatch.row_of_kernel(second).executables == 0
+    rows[0].address, rows[1].address = 11, 22
     dispatch.remove(first, 11)
-    dispatch.enter_kernel(third, 33)
-    assert dispatch.size() == 2 and list(dispatch.TABLE[2:6]) == [third, 33, second, 22]
+    assert [row.address for row in map(dispatch.row_of_kernel, (first, second))] == [0, 22]
+    dispatch.remove(second, 22)
 
 
-def test_kernels_of_the_latest_program_all_stay_however_many_they_are(latest):
-    """A derivative of a guide both of whose parts wear has more kernels than were kept, and lost
-    some before it had run."""
-    before = set(kernel._KERNELS)
-
-    def run(x):
-        for number in range(2 * kernel.LATEST):
-            turn = lambda s, number=number: (s[0] + 1, 0.5 * s[1] + 0.1 * number)
-            x = while_loop(lambda s: s[0] < 3, turn, (0, x))[1]
-        return x
-
-    jax.jit(run)(1.0)
-    del run
-    gc.collect()
-    assert len(set(kernel._KERNELS) - before) == 2 * kernel.LATEST
+def test_a_full_table_says_so(monkeypatch):
+    monkeypatch.setattr(dispatch, "_machine_function", lambda *_: lambda number: None)
+    with pytest.raises(MemoryError, match=f"{dispatch.ROWS} kernels"):
+        dispatch.row_of_kernel(3)
 
 
-class Code:
-    """In the place of an engine: what holds the machine code."""
+def test_a_kernel_stays_until_its_last_call_has_ended():
+    """Also where its program is dropped from all caches while it runs."""
+    before, has_started, results = set(kernel._KERNELS), threading.Event(), []
 
+    def start(x):
+        has_started.set()
+        return np.asarray(x)
 
-def test_the_code_of_a_kernel_goes_when_the_last_call_of_it_has_ended():
-    """Also where its program, and many after it, are dropped while it runs."""
-    turn = lambda s: (s[0] + 1.0, 0.5 * s[1] + 1.0)
-    run = jax.jit(lambda x, most: while_loop(lambda s: s[0] < most, turn, (0.0, x))[1])
-    run(0.0, 1.0)
-    own, code = kernel._LATEST[-1][-1], Code()
-    place, held, found = dispatch._place(own.number), weakref.ref(code), []
-    call = threading.Thread(target=lambda: found.append(float(run(0.0, 3e8))))
+    def run(most):
+        first = jax.pure_callback(start, jax.ShapeDtypeStruct((), float), 0.0)
+        turn = lambda s: (s[0] + 1.0, 0.5 * s[1] + 1.0)
+        return while_loop(lambda s: s[0] < most, turn, (first, 0.0))[1]
+
+    compiled = [jax.jit(run).lower(1.0).compile()]
+    row = new_row(before)
+    call = threading.Thread(target=lambda: results.append(float(compiled.pop()(3e8))))
     call.start()
-    end = time.monotonic() + 20.0
-    while not dispatch.is_in_use(place) and time.monotonic() < end:
-        time.sleep(1e-3)
-    assert dispatch.is_in_use(place)
-    kernel._dropped(own.number, own._entry, code)
-    del code
-    kernel.free_the_unused()
-    assert held() is not None
-    with pytest.raises(ValueError, match="kernel of this program"):
-        run(0.0, 1.0)
+    assert has_started.wait(60.0)
+    del run
+    empty_caches_of_python()
+    is_there = is_in_table(row)
+    assert is_there or not call.is_alive()
     call.join()
-    kernel.free_the_unused()
-    assert held() is None and not dispatch.is_in_use(place)
-    assert found == [2.0]
+    del call
+    assert results == [2.0]
+    assert not is_in_table(row) and row.executables == 0

@@ -20,6 +20,7 @@ from jaxclear.plot.animation.insets import pushes
 from jaxclear.results import solids
 from jaxclear.results.relative_motion import relative_motion
 from jaxclear.results.solids import Part
+from tests.integrators.test_no_recompilation import compilations
 from tests.plot import browser
 
 SLOW_INTEGRATOR = jc.integrator.ImplicitStep()
@@ -104,6 +105,13 @@ def test_arrows_end_where_contacts_are_and_push_the_journal(run):
     np.testing.assert_allclose(aligned, force[pressed], rtol=1e-3)
     size = np.linalg.norm(matrices[:, :3, 2], axis=1)
     assert size[~pressed].max() < 1e-6 < 0.007 < size[pressed].min()
+
+
+def test_directions_of_contacts_are_one_program(run):
+    """Frames of another number compile it, and not each of its operations by itself."""
+    show = lambda frames: pushes(run, np.arange(frames), frames, 0.2)
+    show(5)
+    assert compilations(lambda: show(6)) <= 1
 
 
 def shares(page):

@@ -11,6 +11,7 @@ import pytest
 
 import jaxclear as jc
 from jaxclear.integrators.checks import Outcome
+from tests.rigs.cells import slow_but
 
 STEPS = jc.integrator.FixedStep(2e-5)
 RIG = jc.scenes.slider_crank(wear=False)
@@ -78,7 +79,31 @@ PUSHES = {
 PUSHED = jc.integrator.FixedStep(1e-3)
 
 
-@pytest.mark.parametrize("enclosed", PUSHES)
+def parabola(size):
+    """A drive: position, speed and acceleration follow from a function that encloses a number."""
+    return jc.Mechanism(
+        {"arm": jc.Body(1.0, 0.1)},
+        {
+            "A": jc.Connection(
+                jc.joint.Revolute(drive=jc.drive.Position(lambda t: size * t**2)), "ground", "arm"
+            )
+        },
+        {"push": jc.load.Torque(jc.Marker("arm"), lambda t: jnp.sin(t))},
+    )
+
+
+@pytest.mark.parametrize(("mapped", "size"), [(jax.jit, 2.0), (jax.vmap, 2.0 * np.ones(3))])
+def test_a_traced_run_with_functions_of_time_is_returned_as_any_other(mapped, size):
+    """Turned by a t**2 it stands at 0.01 a after 0.1 s; functions are read of it as of others."""
+    simulate = lambda size: jc.simulate(parabola(size), 0.1, save=3, integrator=PUSHED, throw=False)
+    run = mapped(simulate)(size)
+    run = run[1] if mapped is jax.vmap else run
+    np.testing.assert_allclose(run.coordinate("A")[-1], 0.02, rtol=1e-12)
+    np.testing.assert_allclose(run.mechanism.loads["push"].value(0.5), np.sin(0.5))
+    np.testing.assert_allclose(run.reaction("A").torque[-1, 2], 0.4 - np.sin(0.1), rtol=1e-9)
+
+
+@pytest.mark.parametrize("enclosed", slow_but(("a number", "a part"), PUSHES))
 def test_functions_of_time_may_enclose_numbers_that_are_traced(enclosed):
     """A batch, compiled or not, and a slope: of I w'' = M sin(8 t), which M leads."""
 
@@ -122,3 +147,20 @@ def test_a_start_that_is_traced_and_does_not_close_is_no_start():
     assert [*outcomes] == [Outcome.REACHED, Outcome.UNASSEMBLED]
     np.testing.assert_allclose(ended, [0.01, 0.0])
     assert "no start was found that closes its loops" in Outcome.UNASSEMBLED.sentence
+
+
+class Falling(jc.drive.AbstractDrive):
+    """A drive of a user's own, with no number of its own."""
+
+    def motion(self, time):
+        return time**2, 2.0 * time, 2.0 + 0.0 * time
+
+
+def test_a_drive_of_the_users_own_may_be_built_within_a_program():
+    def end(mass):
+        pin = jc.Connection(jc.joint.Revolute(drive=Falling()), "ground", "arm")
+        rig = jc.Mechanism({"arm": jc.Body(mass, 0.1)}, {"A": pin})
+        run = jc.simulate(rig, 0.1, save=2, integrator=PUSHED, throw=False)
+        return run.coordinate("A")[-1]
+
+    np.testing.assert_allclose(jax.jit(end)(1.0), 0.01, rtol=1e-12)

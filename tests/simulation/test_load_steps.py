@@ -1,8 +1,6 @@
 """A push that is shorter than a step is told of, and steps that find their own length do not pass
 over it. Oracle: a body on a slide that is pushed moves by the impulse over its mass."""
 
-import sys
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -11,7 +9,7 @@ import pytest
 
 import jaxclear as jc
 from jaxclear.integrators.checks import Check
-from jaxclear.simulation.load_steps import load_steps, missed_shares, step_ends
+from jaxclear.simulation.load_steps import load_steps, missed_shares
 
 MASS, FORCE, BEGIN, LASTS = 2.0, 3e4, 0.051, 3e-5
 PULSE = jc.TimeTable(
@@ -49,8 +47,8 @@ def test_steps_longer_than_a_push_say_so(step):
 @pytest.mark.parametrize(("frequency", "said"), [(100.0, False), (1e4, True), (9.9e3, True)])
 def test_what_vibrates_faster_than_steps_is_told(frequency, said):
     functions = {"load": lambda time: jnp.cos(2 * jnp.pi * frequency * time)}
-    edges = step_ends(np.linspace(0.0, 0.1, 6), 1e-4)
-    assert (missed_shares(functions, edges)["load"] > Check.LOAD_STEP.limit) == said
+    shares = missed_shares(functions, np.linspace(0.0, 0.1, 6), 1e-4)
+    assert (shares["load"] > Check.LOAD_STEP.limit) == said
 
 
 def test_what_changes_slowly_leaves_adaptive_as_it_is():
@@ -242,17 +240,26 @@ def test_steps_of_fixed_length_say_what_they_pass_over():
         assert [f'of the impulse of "{name}"' in said for said in run.warnings].count(True) == 1
 
 
+@pytest.mark.parametrize(("load", "initial"), [(Strip, 6.0), (Knock, 0.0)])
+def test_a_load_of_the_users_own_is_felt_in_a_program_of_the_user_too(load, initial):
+    """Or said to be passed over, by steps of fixed length; the numbers are those of the run alone,
+    of the strip by its work, of the knock by its impulse."""
+
+    def run(mass, integrator):
+        rig = eqx.tree_at(lambda rig: rig.bodies["cart"].mass, with_own(load, initial), mass)
+        return jc.simulate(rig, 5.0, save=101, integrator=integrator, throw=False, verify=False)
+
+    after = np.sqrt(6.0**2 - 2 * 2e4 * 0.5e-3 / MASS) if load is Strip else 1.0 / MASS
+    felt = jax.jit(lambda mass: run(mass, jc.integrator.Adaptive()).speed("G")[-1])
+    assert float(felt(MASS)) == pytest.approx(after, rel=1e-4)
+    steps = jc.integrator.FixedStep(5e-3 if load is Knock else 1e-3)
+    share = jax.jit(lambda mass: run(mass, steps).invariants.figures[Check.LOAD_STEP].worst[0])
+    known = run(MASS, steps).invariants.figures[Check.LOAD_STEP].worst[0]
+    assert float(share(MASS)) == pytest.approx(float(known), rel=0.05) and known > 0.005
+
+
 def test_slopes_of_a_short_push_are_those_of_its_impulse():
     """Of impulse over mass, by mass."""
     after = lambda mass: jc.simulate(pushed(pulse, mass), 60.0, save=6, throw=False).speed("G")[-1]
     slope = jax.jvp(after, (MASS,), (1.0,))[1]
     assert float(slope) == pytest.approx(-impulse(pulse, 60.0) / MASS**2, rel=1e-4)
-
-
-def test_what_follows_loads_along_a_run_is_not_imported_without_them(monkeypatch):
-    """It takes a third of a second, which a first run would wait for."""
-    monkeypatch.setitem(sys.modules, "scipy.interpolate", None)
-    run = jc.simulate(
-        jc.scenes.guide(), 1e-3, integrator=jc.integrator.MoreauJean(), save=3, verify=False
-    )
-    assert run.succeeded

@@ -9,6 +9,7 @@ import pytest
 
 import jaxclear as jc
 from jaxclear.studies.store.batch import evaluate_all
+from tests.rigs.cells import slow
 
 INTEGRATOR, DURATION = jc.integrator.FixedStep(2.5e-5), 0.02
 
@@ -33,7 +34,7 @@ def test_more_updates_than_saving_times_are_those():
         np.testing.assert_array_equal(one, other)
 
 
-@pytest.mark.parametrize("saves", [81, 101])
+@pytest.mark.parametrize("saves", [*slow(81), 101])
 def test_as_many_updates_as_another_run_has_saving_times_wear_like_it(saves):
     """40 in both: each at the first saving time past a 40th of the run. Fixed steps fit the
     intervals of both, so that motions are the same but for what wear changes; the wear law of this

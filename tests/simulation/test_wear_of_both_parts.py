@@ -8,6 +8,7 @@ import pytest
 
 import jaxclear as jc
 from jaxclear.integrators.checks import Check
+from tests.rigs.cells import slow
 from tests.rigs.wearing_ring import wearing_ring
 from tests.rigs.worn_scar import TURN, crescent, depth_of, lost, scar
 
@@ -45,7 +46,7 @@ def test_a_pin_that_turns_round_or_does_not_wear_says_nothing(journal):
     assert not any("parts of joint" in sentence for sentence in run.warnings)
 
 
-@pytest.mark.parametrize(("saves", "cells"), [(19, 2.0), (73, 0.5)])
+@pytest.mark.parametrize(("saves", "cells"), [(19, 2.0), *slow((73, 0.5))])
 def test_counted_steps_say_how_far_contacts_move_between_updates(saves, cells):
     """A turn over 36 cells."""
     rig, turn = wearing_ring(), 0.05

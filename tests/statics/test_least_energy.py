@@ -313,6 +313,7 @@ def shut():
     )
 
 
+@pytest.mark.slow
 def test_springs_and_journals_rest_where_scipy_finds_the_least_energy(shut):
     stands = shut.detail(shut.nominal())
     wanted = least_by_scipy()

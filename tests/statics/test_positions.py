@@ -11,6 +11,7 @@ from scipy.optimize import brentq, minimize
 import jaxclear as jc
 from jaxclear.statics.position_path import positions_at, spots_along
 from jaxclear.statics.quasi_static import find_spot, loop_method, posed
+from tests.rigs.cells import slow
 
 CRANK, COUPLER, FOLLOWER, GROUND, CLEARANCE, GRAVITY = 0.1, 0.4, 0.3, 0.3, 0.3e-3, 9.81
 ANGLES = np.array([0.2, 1.5, 2.8, 4.1, 5.4])
@@ -275,7 +276,7 @@ def test_positions_are_shown_in_words(found):
     assert str(found) == "5 positions, also under reversed loads: O from 0.2 to 5.4 rad."
 
 
-@pytest.mark.parametrize("closing", ["A", pytest.param("D", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("closing", ["A", *slow("D")])
 def test_a_reaction_holds_the_loads_on_its_coordinate_wherever_the_loop_is_cut(closing):
     """A torsion spring in a joint that closes the loop, or that the tree carries."""
     rig, stiffness = four_bar(slack=""), 2.0

@@ -1,12 +1,43 @@
 {error}
 @message = internal constant [{length} x i8] c"{message}\00"
-define ptr @{name}(ptr %frame) {{
+@{name}.type = global i64 0
+@{name}.info = constant {{ i64, ptr, ptr }} {{ i64 24, ptr null, ptr @{name}.release }}
+define ptr @{name}.find(i64 %number) {{
 entry:
-  %extension_place = getelementptr i8, ptr %frame, i64 8
-  %extension = load ptr, ptr %extension_place
-  %plain = icmp eq ptr %extension, null
-  br i1 %plain, label %execute, label %describe
-describe:
+  %table = inttoptr i64 {table} to ptr
+  br label %probe
+probe:
+  %step = phi i64 [ 0, %entry ], [ %next, %further ]
+  %shifted = add i64 %number, %step
+  %place = and i64 %shifted, {mask}
+  %row = getelementptr {{ i64, i64, i64 }}, ptr %table, i64 %place
+  %pair = cmpxchg ptr %row, i64 0, i64 %number seq_cst seq_cst, align 8
+  %found = extractvalue {{ i64, i1 }} %pair, 0
+  %is_new = extractvalue {{ i64, i1 }} %pair, 1
+  %is_own = icmp eq i64 %found, %number
+  %hit = or i1 %is_new, %is_own
+  br i1 %hit, label %done, label %further
+further:
+  %next = add i64 %step, 1
+  %full = icmp ugt i64 %next, {mask}
+  br i1 %full, label %done, label %probe
+done:
+  %result = phi ptr [ %row, %probe ], [ null, %further ]
+  ret ptr %result
+}}
+define internal ptr @row_of_frame(ptr %frame) {{
+entry:
+  %attributes_place = getelementptr i8, ptr %frame, i64 160
+  %attributes = load ptr, ptr %attributes_place
+  %scalar = load ptr, ptr %attributes
+  %number_place = getelementptr i8, ptr %scalar, i64 8
+  %number_pointer = load ptr, ptr %number_place
+  %number = load i64, ptr %number_pointer
+  %row = call ptr @{name}.find(i64 %number)
+  ret ptr %row
+}}
+define internal void @describe(ptr %extension, i64 %type) {{
+entry:
   %metadata_place = getelementptr i8, ptr %extension, i64 24
   %metadata = load ptr, ptr %metadata_place
   %major = getelementptr i8, ptr %metadata, i64 24
@@ -16,69 +47,81 @@ describe:
   %traits = getelementptr i8, ptr %metadata, i64 32
   store i32 0, ptr %traits
   %state = getelementptr i8, ptr %metadata, i64 40
-  store i64 0, ptr %state
+  store i64 %type, ptr %state
+  ret void
+}}
+define ptr @{name}(ptr %frame) {{
+entry:
+  %extension_place = getelementptr i8, ptr %frame, i64 8
+  %extension = load ptr, ptr %extension_place
+  %plain = icmp eq ptr %extension, null
+  br i1 %plain, label %look, label %describe
+describe:
+  call void @describe(ptr %extension, i64 0)
   ret ptr null
-execute:
-  %attributes_place = getelementptr i8, ptr %frame, i64 160
-  %attributes = load ptr, ptr %attributes_place
-  %scalar = load ptr, ptr %attributes
-  %number_place = getelementptr i8, ptr %scalar, i64 8
-  %number_pointer = load ptr, ptr %number_place
-  %number = load i64, ptr %number_pointer
-  %table = inttoptr i64 {table} to ptr
-  %first = and i64 %number, {mask}
-  br label %probe
-probe:
-  %place = phi i64 [ %first, %execute ], [ %next, %further ], [ %first, %probe_anew ]
-  %index = mul i64 %place, 2
-  %pair = getelementptr i64, ptr %table, i64 %index
-  %found = load atomic i64, ptr %pair acquire, align 8
-  %hit = icmp eq i64 %found, %number
-  br i1 %hit, label %enter, label %look
 look:
-  %empty = icmp eq i64 %found, 0
-  br i1 %empty, label %missing, label %further
-further:
-  %following = add i64 %place, 1
-  %next = and i64 %following, {mask}
-  br label %probe
-enter:
-  %calls = inttoptr i64 {calls} to ptr
-  %count = getelementptr i64, ptr %calls, i64 %place
-  %before = atomicrmw add ptr %count, i64 1 seq_cst
-  %address_place = getelementptr i64, ptr %pair, i64 1
-  %address = load atomic i64, ptr %address_place seq_cst, align 8
-  %still = load atomic i64, ptr %pair seq_cst, align 8
-  %own = icmp eq i64 %still, %number
+  %row = call ptr @row_of_frame(ptr %frame)
+  %full = icmp eq ptr %row, null
+  br i1 %full, label %missing, label %load
+load:
+  %address_place = getelementptr i64, ptr %row, i64 1
+  %address = load atomic i64, ptr %address_place acquire, align 8
   %there = icmp ne i64 %address, 0
-  %known = and i1 %own, %there
-  br i1 %known, label %call, label %leave
+  br i1 %there, label %call, label %missing
 call:
   %kernel = inttoptr i64 %address to ptr
   %error = call ptr %kernel(ptr %frame)
-  %during = atomicrmw sub ptr %count, i64 1 seq_cst
   ret ptr %error
-leave:
-  %after = atomicrmw sub ptr %count, i64 1 seq_cst
-  br i1 %own, label %missing, label %probe_anew
-probe_anew:
-  br label %probe
 missing:
   %made = call ptr @error(ptr %frame, ptr @message)
   ret ptr %made
 }}
-define void @{name}.enter(ptr %pair, i64 %number, i64 %address) {{
+define ptr @{name}.instantiate(ptr %frame) {{
 entry:
-  %address_place = getelementptr i64, ptr %pair, i64 1
-  store atomic i64 {changing}, ptr %pair seq_cst, align 8
-  store atomic i64 %address, ptr %address_place seq_cst, align 8
-  store atomic i64 %number, ptr %pair seq_cst, align 8
+  %given = alloca {{ i64, ptr, ptr, i32, ptr, ptr }}
+  %extension_place = getelementptr i8, ptr %frame, i64 8
+  %extension = load ptr, ptr %extension_place
+  %plain = icmp eq ptr %extension, null
+  br i1 %plain, label %look, label %describe
+describe:
+  %type = load i64, ptr @{name}.type
+  call void @describe(ptr %extension, i64 %type)
+  ret ptr null
+look:
+  %row = call ptr @row_of_frame(ptr %frame)
+  %full = icmp eq ptr %row, null
+  br i1 %full, label %missing, label %count
+count:
+  %executables = getelementptr i64, ptr %row, i64 2
+  %before = atomicrmw add ptr %executables, i64 1 seq_cst
+  %context_place = getelementptr i8, ptr %frame, i64 24
+  %context = load ptr, ptr %context_place
+  %stage_place = getelementptr i8, ptr %frame, i64 32
+  %stage = load i32, ptr %stage_place
+  %with_context = insertvalue {{ i64, ptr, ptr, i32, ptr, ptr }}
+    {{ i64 48, ptr null, ptr null, i32 0, ptr @{name}.type, ptr null }}, ptr %context, 2
+  %with_stage = insertvalue {{ i64, ptr, ptr, i32, ptr, ptr }} %with_context, i32 %stage, 3
+  %filled = insertvalue {{ i64, ptr, ptr, i32, ptr, ptr }} %with_stage, ptr %row, 5
+  store {{ i64, ptr, ptr, i32, ptr, ptr }} %filled, ptr %given
+  %interface_place = getelementptr i8, ptr %frame, i64 16
+  %interface = load ptr, ptr %interface_place
+  %set_place = getelementptr i8, ptr %interface, i64 104
+  %set = load ptr, ptr %set_place
+  %error = call ptr %set(ptr %given)
+  ret ptr %error
+missing:
+  %made = call ptr @error(ptr %frame, ptr @message)
+  ret ptr %made
+}}
+define void @{name}.release(ptr %row) {{
+entry:
+  %executables = getelementptr i64, ptr %row, i64 2
+  %before = atomicrmw sub ptr %executables, i64 1 seq_cst
   ret void
 }}
-define i64 @{name}.leave(ptr %pair, ptr %count) {{
+define void @{name}.remove(ptr %row, i64 %address) {{
 entry:
-  %address_place = getelementptr i64, ptr %pair, i64 1
-  %address = atomicrmw xchg ptr %address_place, i64 0 seq_cst
-  %calls = load atomic i64, ptr %count seq_cst, align 8
-  ret i64 %calls
+  %address_place = getelementptr i64, ptr %row, i64 1
+  %pair = cmpxchg ptr %address_place, i64 %address, i64 0 seq_cst seq_cst, align 8
+  ret void
 }}

@@ -11,6 +11,7 @@ ends where it touches, along the normal force on the journal, while it touches.
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import numpy as np
 
@@ -89,16 +90,23 @@ def _contact_places(run: Trajectory, name: str, history: Any, frames: np.ndarray
     turn = np.asarray(outer.rotation)[frames]
     relative = turn.transpose(0, 2, 1) @ np.asarray(inner.rotation)[frames]
 
-    def normals(offset, axes, depths):
+    offset, depths = (np.asarray(x)[frames] for x in (history.offset, history.indentation))
+    away = np.asarray(_normals(joint, offset, relative, depths)).reshape(len(frames), -1, 3)
+    place = np.nan_to_num(np.asarray(history.place)[frames])
+    origin = np.asarray(outer.place)[frames, None]
+    return origin + place @ turn.transpose(0, 2, 1), -away @ turn.transpose(0, 2, 1)
+
+
+@eqx.filter_jit
+def _normals(joint: Any, offsets: Any, rotations: Any, indentations: Any) -> Any:
+    """Normals of a joint's contacts, frame by frame, as one compiled program."""
+
+    def at_frame(offset, axes, depths):
         vectors = tuple(tuple(axes[:, k]) for k in joint.axes)
         candidates = joint.contact_candidates(tuple(offset), vectors, tuple(depths))
         return sp.stack([x for one in candidates for x in sp.stack(one.normal)])
 
-    offset, depths = (np.asarray(x)[frames] for x in (history.offset, history.indentation))
-    away = np.asarray(jax.vmap(normals)(offset, relative, depths)).reshape(len(frames), -1, 3)
-    place = np.nan_to_num(np.asarray(history.place)[frames])
-    origin = np.asarray(outer.place)[frames, None]
-    return origin + place @ turn.transpose(0, 2, 1), -away @ turn.transpose(0, 2, 1)
+    return jax.vmap(at_frame)(offsets, rotations, indentations)
 
 
 def _arrow_matrices(

@@ -29,7 +29,7 @@ from jaxclear.ground.precision import check_double_precision
 from jaxclear.integrators.checks import Check, Checks
 from jaxclear.native import calls_lapack, stop, stoppable, stops
 from jaxclear.native.compiled import Prepared, prepared
-from jaxclear.studies.experiment import SampleResult
+from jaxclear.studies.experiment import LANES, SampleResult
 from jaxclear.studies.problem import Problem
 from jaxclear.studies.store.digest import in_texts
 from jaxclear.studies.store.store import CURRENT, Chunk, Store, compute_address
@@ -39,8 +39,6 @@ CHUNK_MEMORY = 1 << 30
 # Runs come in chunks of no fewer samples than these, where there are as many, so that there are so
 # many chunks for each thread: the threads end together, and what is finished is seen.
 LEAST_CHUNK, CHUNKS_A_THREAD = 64, 8
-# Samples come in multiples of these, copies of the last one where there are fewer.
-LANES = 8
 # [s] between looks at whether others have finished the chunks that they are at.
 PATIENCE = 0.2
 # What is kept of each sample; the figures of its checks, and when they were met.
