@@ -8,10 +8,8 @@ import functools
 import gc
 import os
 from pathlib import Path
-from types import MethodType
 from zlib import crc32
 
-import equinox as eqx
 import jax
 import pytest
 from hypothesis import settings
@@ -23,11 +21,14 @@ from jaxclear.native import object_code
 
 # XLA reads them when it starts, which no import does. Of a program of one operation half the time
 # goes into compilers for fusions, which are set up anew for each program; level 0 has no
-# multiplication and addition in one, so sums end in other digits than those of kernels.
+# multiplication and addition in one, so sums end in other digits than those of kernels. A flag that
+# an XLA does not have ends its process; that of JAX 0.12 has no other emitters of fusions.
 LITTLE_OPTIMISED = (
     "--xla_backend_optimization_level=1 --xla_llvm_disable_expensive_passes=true "
-    "--xla_cpu_use_fusion_emitters=false --xla_cpu_parallel_codegen_split_count=1"
+    "--xla_cpu_parallel_codegen_split_count=1"
 )
+if jax.__version_info__ < (0, 12):
+    LITTLE_OPTIMISED += " --xla_cpu_use_fusion_emitters=false"
 # LLVM optimises a kernel three times as long as it writes its code.
 USERS_SPEED_LEVEL = object_code.SPEED_LEVEL
 object_code.SPEED_LEVEL = 0
@@ -38,18 +39,6 @@ gc.set_threshold(300_000, 20, 1000)
 # A fifth of the time of a program of one operation goes into a context of MLIR, which JAX makes
 # for each: those of a file share one.
 mlir.make_ir_context = functools.lru_cache(1)(mlir.make_ir_context)
-
-
-def _getattribute(self, name, get=object.__getattribute__):
-    """Equinox's own answer, which looks at every name before it looks at what stands there: a
-    thirtieth of the suite."""
-    found = get(self, name)
-    if type(found) is not MethodType or found.__self__ is not self or name.startswith("__"):
-        return found
-    return equinox_getattribute(self, name)
-
-
-equinox_getattribute, eqx.Module.__getattribute__ = eqx.Module.__getattribute__, _getattribute
 
 settings.register_profile("repeatable", derandomize=True, deadline=None)
 # HYPOTHESIS_PROFILE=searching draws anew in every run and prints how to repeat what fails.
@@ -96,6 +85,15 @@ def few_programs():
     if MAPS.exists() and MAPS.read_bytes().count(b"\n") > MOST_MAPS:
         jax.clear_caches()
         gc.collect()
+
+
+@pytest.fixture
+def young_garbage():
+    """Collections of garbage look at what the test has made: not at millions of objects of others,
+    at seconds each."""
+    gc.freeze()
+    yield
+    gc.unfreeze()
 
 
 @pytest.fixture(scope="module")

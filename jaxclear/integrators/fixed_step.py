@@ -29,6 +29,7 @@ from jaxclear.ground.quantity import (
     on_device,
     on_host,
     quantity,
+    with_fields,
 )
 from jaxclear.integrators import munthe_kaas
 from jaxclear.integrators.base import (
@@ -257,7 +258,7 @@ class FixedStep(AbstractIntegrator):
     def with_finer_steps(self, share):
         if self.steps_per_save is not None:
             return None
-        return eqx.tree_at(lambda a: a.step, self, on_device(share * on_host(self.step)))
+        return with_fields(self, step=on_device(share * on_host(self.step)))
 
     @property
     def opens_loops(self):

@@ -184,7 +184,7 @@ def test_aliases_cannot_blow_up(tmp_path):
     assert time.process_time() - begun < 1.0
 
 
-@pytest.mark.parametrize("values", ["0", '"ab"', "{}", '"k": [1]', '"k\\",[": 1'])
+@pytest.mark.parametrize("values", ["0", *slow('"ab"', "{}", '"k": [1]'), '"k\\",[": 1'])
 def test_values_of_json_are_counted_before_they_are_read(values, tmp_path):
     """Millions of values in 31 MB took 160 s and 1.5 GB before they were refused."""
     path, named = tmp_path / "scene.json", ":" in values

@@ -73,8 +73,7 @@ def test_what_runs_into_a_stop_without_restitution_in_permanent_contact_stays_th
     [
         (RIGID, 1e12),
         (PERMANENT, 1e5),
-        pytest.param(RIGID, 1e5, marks=SLOW),
-        pytest.param(PERMANENT, 1e12, marks=SLOW),
+        *slow((RIGID, 1e5), (PERMANENT, 1e12)),
     ],
 )
 def test_a_stiff_stop_is_rigid_where_steps_do_not_follow_its_spring(integrator, stiffness):
@@ -124,8 +123,7 @@ def unfolding_arm(share):
     "integrator",
     [
         jc.integrator.ImplicitStep(1e-4),
-        pytest.param(jc.integrator.Adaptive(), marks=SLOW),
-        pytest.param(jc.integrator.FixedStep(1e-4), marks=SLOW),
+        *slow(jc.integrator.Adaptive(), jc.integrator.FixedStep(1e-4)),
     ],
     ids=["implicit", "adaptive", "fixed"],
 )
@@ -539,8 +537,7 @@ DRY = jc.load.JointFriction("G", 30.0)
         (SPRINGY, jc.integrator.ImplicitStep(1e-3)),
         (DRY, jc.integrator.MoreauJean(1e-3)),
         (DRY, jc.integrator.NonColliding(1e-3)),
-        pytest.param(SPRINGY, jc.integrator.Adaptive(), marks=SLOW),
-        pytest.param(DRY, jc.integrator.Adaptive(), marks=SLOW),
+        *slow((SPRINGY, jc.integrator.Adaptive()), (DRY, jc.integrator.Adaptive())),
     ],
 )
 def test_a_run_may_begin_in_a_dead_centre_where_nothing_moves_along_the_coordinate(

@@ -93,12 +93,6 @@ EXPLICIT, IMPLICIT = jc.integrator.FixedStep(2e-5), jc.integrator.ImplicitStep(1
 ADAPTIVE, RIGID = jc.integrator.Adaptive(), jc.integrator.MoreauJean(1e-4)
 GAPS = {"joints": [_loose(1e-4), _loose(2e-4)]}
 FILM = {"joints": [_loose(5e-5, jc.film.ShortHalfFilm(viscosity=0.1)), _loose(2e-4)]}
-FILMS = {
-    "joints": [
-        _loose(5e-5, jc.film.ShortHalfFilm(viscosity=0.1)),
-        _loose(9e-5, jc.film.ShortHalfFilm(viscosity=0.05)),
-    ]
-}
 RUBBING = {
     "joints": [
         jc.joint.PlainBearing(SMOOTH, radius=r, length=0.02, wear=WEARS) for r in (0.01, 0.03)
@@ -117,16 +111,12 @@ SLOW = {
     "servos": ({"loads": _servos}, EXPLICIT),
     "gaps, explicit": (GAPS, EXPLICIT),
     "gaps, adaptive": (GAPS, ADAPTIVE),
-    "films": (FILMS, IMPLICIT),
     "rubbing": (RUBBING, IMPLICIT),
     "rubbing, rigid": (RUBBING, RIGID),
     "mixed": (MIXED, IMPLICIT),
-    "mixed, explicit": (MIXED, EXPLICIT),
     "stops": ({"loads": _stops}, IMPLICIT),
-    "stops, adaptive": ({"loads": _stops}, ADAPTIVE),
     "rigid stops": ({"loads": _rigid_stops}, RIGID),
     "dry": ({"loads": _dry}, ADAPTIVE),
-    "gears, adaptive": ({"couplings": _gears}, ADAPTIVE),
 }
 
 

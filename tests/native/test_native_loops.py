@@ -4,6 +4,7 @@ step aside."""
 import logging
 import re
 import warnings
+from pathlib import Path
 
 import diffrax
 import jax
@@ -252,17 +253,39 @@ def test_a_check_looks_at_states_within_and_beyond_a_clearance():
         assert overlaps[1] < 0 < overlaps[2]
 
 
-def test_an_unknown_interface_of_xla_is_refused(monkeypatch, tmp_path):
-    (tmp_path / "xla/ffi/api").mkdir(parents=True)
-    (tmp_path / "xla/ffi/api/c_api.h").write_text("struct XLA_FFI_CallFrame { int other; };")
+@pytest.fixture
+def header_of_xla(monkeypatch, tmp_path):
+    """The header of XLA's foreign function interface, which may be written anew."""
+    text = (Path(jax.ffi.include_dir()) / "xla/ffi/api/c_api.h").read_text()
+    header = tmp_path / "xla/ffi/api/c_api.h"
+    header.parent.mkdir(parents=True)
+    header.write_text(text)
     monkeypatch.setattr(jax.ffi, "include_dir", lambda: str(tmp_path))
     dispatch.interface_version.cache_clear()
-    try:
-        with pytest.raises(Unsupported, match="foreign function interface"):
-            dispatch.interface_version()
-    finally:
-        monkeypatch.undo()
-        dispatch.interface_version.cache_clear()
+    yield header
+    monkeypatch.undo()
+    dispatch.interface_version.cache_clear()
+
+
+def test_an_unknown_interface_of_xla_is_refused(header_of_xla):
+    header_of_xla.write_text("struct XLA_FFI_CallFrame { int other; };")
+    with pytest.raises(Unsupported, match="foreign function interface"):
+        dispatch.interface_version()
+
+
+def test_the_interface_of_xla_is_known_by_the_names_of_jax_0_12(header_of_xla):
+    """Whose header (its minor version 5) calls some structures and functions otherwise, and lays
+    them out alike."""
+    text, version = header_of_xla.read_text(), dispatch.interface_version()
+    for before, now in {
+        "XLA_FFI_Error_GetMessage": "XLA_FFI_Error_GetDetails",
+        "XLA_FFI_Extension_Base": "XLA_FFI_InternalExtension",
+        "XLA_FFI_ExecutionContext": "XLA_FFI_InvokeContext",
+    }.items():
+        text = text.replace(before, now)
+    header_of_xla.write_text(text)
+    dispatch.interface_version.cache_clear()
+    assert dispatch.interface_version() == version
 
 
 def test_the_switch_leaves_loops_to_jax(monkeypatch):

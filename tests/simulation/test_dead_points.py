@@ -38,7 +38,7 @@ def four_bar(crank):
     return four_bars.four_bar(links, 0.3, jc.Body(1.0, 1e-2), drive=drive, guess=guess)
 
 
-@pytest.mark.parametrize("rung", RUNGS)
+@pytest.mark.parametrize("rung", slow_but(["fixed"], RUNGS))
 @pytest.mark.parametrize("kind", ["slider", *slow("four-bar")])
 def test_a_drive_beyond_a_dead_point_ends_the_run_and_says_so(kind, rung):
     rig = driven_slider(0.03) if kind == "slider" else four_bar(0.28)

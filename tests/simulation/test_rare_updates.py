@@ -53,6 +53,7 @@ def test_gaps_see_surfaces_as_they_were_worn_last():
     assert 1 <= len(changes) <= 4
 
 
+@pytest.mark.slow
 def test_replicas_wear_them_more_often_in_proportion():
     """So that the error they tell holds what rare updates change."""
     replica = run(20, 161, verify=True).verification.replicas[0]
@@ -73,6 +74,7 @@ def test_steps_that_are_no_share_of_the_time_between_updates_leave_them_as_rare(
         jc.Wearing(jc.wear.Archard(), updates=0)
 
 
+@pytest.mark.slow
 def test_with_a_progress_bar_a_run_wears_as_without():
     """It is no kernel then, and updates follow the contact's path all the same: with two saving
     times surfaces had worn once, at the end."""

@@ -120,7 +120,7 @@ MAPS = {
 }
 
 
-@pytest.mark.parametrize("kind", [*slow("ball"), "wall", "guide"])
+@pytest.mark.parametrize("kind", [*slow("ball", "wall"), "guide"])
 def test_cells_twice_as_wide_are_those_of_a_map_with_half_as_many(kind):
     fine, coarse = MAPS[kind](2, coarseness=2.0), MAPS[kind](1)
     event, volume = jnp.asarray(PLACES[kind])[None], jnp.asarray([1e-12])
@@ -188,7 +188,9 @@ def test_the_error_of_a_scar_narrower_than_a_cell_is_that_of_its_contact(kind):
     factor = factor_of_cells(surface, jnp.asarray(place), depth, 1.0)
     stated = factor * abs(fine - coarse)
     assert fine < 0.5 * true
-    assert (true - fine) / 3.0 < stated < 3.0 * (true - fine)
+    # Of flat faces the contact's end lies anywhere in a cell.
+    least = 1 / 3 if kind == "guide" else 1.0
+    assert least * (true - fine) < stated < 3.0 * (true - fine)
 
 
 def rubbing(cells):

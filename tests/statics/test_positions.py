@@ -151,10 +151,9 @@ def test_coordinates_of_the_drive_and_places_are_told(found):
     [
         (four_bar(), {"A": ANGLES}, 'joint "O" is driven and its positions are not told'),
         (four_bar(), {"O": ANGLES, "Q": ANGLES}, 'no joint "Q" to be held'),
-        (four_bar(), {"O": ANGLES, "D": ANGLES}, r"cannot be assembled at position 0 \(O = 0.2"),
+        *slow((four_bar(), {"O": ANGLES, "D": ANGLES}, r"cannot be assembled .* 0 \(O = 0.2")),
         (four_bar(), {"O": [1.0, np.nan]}, "must be finite numbers in a row"),
         (four_bar(), {"O": ANGLES, "D": [1.0]}, "as many coordinates of each"),
-        (four_bar(), {}, 'joint "O" is driven and its positions are not told'),
     ],
 )
 def test_what_cannot_be_asked_is_refused_with_a_sentence(mechanism, positions, sentence):
