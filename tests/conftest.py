@@ -4,6 +4,7 @@ is optimised little (a third of the suite), kernels not at all (a seventh; as us
 test says so), and Python looks for cycles of garbage rarely (a twentieth). Flags of XLA that a user
 sets go before."""
 
+import functools
 import gc
 import os
 from pathlib import Path
@@ -12,6 +13,7 @@ from zlib import crc32
 import jax
 import pytest
 from hypothesis import settings
+from jax._src.interpreters import mlir
 from jax.experimental.compilation_cache import compilation_cache
 
 from jaxclear.errors import verification
@@ -19,11 +21,14 @@ from jaxclear.native import object_code
 
 # XLA reads them when it starts, which no import does. Of a program of one operation half the time
 # goes into compilers for fusions, which are set up anew for each program; level 0 has no
-# multiplication and addition in one, so sums end in other digits than those of kernels.
+# multiplication and addition in one, so sums end in other digits than those of kernels. A flag that
+# an XLA does not have ends its process; that of JAX 0.12 has no other emitters of fusions.
 LITTLE_OPTIMISED = (
     "--xla_backend_optimization_level=1 --xla_llvm_disable_expensive_passes=true "
-    "--xla_cpu_use_fusion_emitters=false --xla_cpu_parallel_codegen_split_count=1"
+    "--xla_cpu_parallel_codegen_split_count=1"
 )
+if jax.__version_info__ < (0, 12):
+    LITTLE_OPTIMISED += " --xla_cpu_use_fusion_emitters=false"
 # LLVM optimises a kernel three times as long as it writes its code.
 USERS_SPEED_LEVEL = object_code.SPEED_LEVEL
 object_code.SPEED_LEVEL = 0
@@ -31,6 +36,9 @@ object_code.SPEED_LEVEL = 0
 os.environ["JAXCLEAR_CACHE"] = "0"
 os.environ["XLA_FLAGS"] = f"{LITTLE_OPTIMISED} {os.environ.get('XLA_FLAGS', '')}".strip()
 gc.set_threshold(300_000, 20, 1000)
+# A fifth of the time of a program of one operation goes into a context of MLIR, which JAX makes
+# for each: those of a file share one.
+mlir.make_ir_context = functools.lru_cache(1)(mlir.make_ir_context)
 
 settings.register_profile("repeatable", derandomize=True, deadline=None)
 # HYPOTHESIS_PROFILE=searching draws anew in every run and prints how to repeat what fails.
@@ -66,16 +74,26 @@ def pytest_collection_modifyitems(config, items):
 
 # Every compiled program maps pieces of memory, a few tens of them. Linux allows a process 65 530;
 # beyond, XLA crashes. What is dropped is compiled again, small programs above all.
-MAPS, MOST_MAPS = Path("/proc/self/maps"), 40_000
+MAPS, MOST_MAPS = Path("/proc/self/maps"), 50_000
 
 
 @pytest.fixture(autouse=True, scope="module")
 def few_programs():
     """Programs of the files before are dropped where they are many."""
+    mlir.make_ir_context.cache_clear()
     yield
     if MAPS.exists() and MAPS.read_bytes().count(b"\n") > MOST_MAPS:
         jax.clear_caches()
         gc.collect()
+
+
+@pytest.fixture
+def young_garbage():
+    """Collections of garbage look at what the test has made: not at millions of objects of others,
+    at seconds each."""
+    gc.freeze()
+    yield
+    gc.unfreeze()
 
 
 @pytest.fixture(scope="module")

@@ -251,6 +251,13 @@ def test_rows_of_one_unit_stand_as_columns_where_they_fit_so():
     assert "0.999975" in lines[2] and "1.000025" in lines[3]
 
 
+def test_a_head_breaks_between_words_not_within_a_number():
+    wide = {f"force at 99.7 % [N] {i}": [1.23456e-5] for i in range(3)}
+    lines = repr(as_table(wide)).splitlines()
+    assert max(map(len, lines)) <= 80 and any("99.7" in line for line in lines)
+    assert not any(word.endswith("99.") for line in lines for word in line.split())
+
+
 def test_of_a_long_table_the_ends_are_shown():
     long = as_table({"time [s]": np.linspace(0.0, 1.0, MOST_ROWS + 1)})
     assert len(repr(long).splitlines()) < 30 and f"of {MOST_ROWS + 1} rows" in repr(long)

@@ -329,7 +329,7 @@ def assembled(program: Any) -> Assembled:
 def largest_kernel(case: Case) -> Any:
     """The loop of the longest text of a case, of several samples."""
     programs, build = [], kernels.build
-    kernels.build = lambda program, lanes: programs.append(program) or build(program, lanes)
+    kernels.build = lambda program, *rest: programs.append(program) or build(program, *rest)
     problem = question(*case[:2])
     function = with_slopes if case[2] == SLOPES else responses
     values = jnp.tile(jnp.asarray(problem.nominal()), (2, 1))

@@ -31,12 +31,14 @@ def rows(options: Any) -> list[dict[str, Any]]:
     subprocess.run([newest_python(), "-m", "venv", ENVIRONMENT], check=True)
     wanted = [".[mesh]", "hypothesis", "pytest", "pytest-xdist"]
     subprocess.run([python, "-m", "pip", "install", "-qU", *wanted], check=True)
-    output = lambda *call: subprocess.run([python, *call], capture_output=True, text=True).stdout
+    output = lambda *call: subprocess.run([python, *call], stdout=-1, stderr=-2, text=True).stdout
     versions = dict(zip(("Python", "JAX"), output("-c", VERSIONS).split(), strict=True))
-    said = output("-m", "pytest", "-n", "0", "-m", "", *options.paths)
+    said = output("-m", "pytest", "-n", "0", "-m", "", "--capture=sys", *options.paths)
     found = {kind: re.search(rf"(\d+) {kind}", said) for kind in ("passed", "failed", "skipped")}
     counts = {kind: int(count[1]) if count else 0 for kind, count in found.items()}
-    failing = ", ".join(re.findall(r"^FAILED (\S+)", said, re.MULTILINE))
+    if not counts["passed"]:
+        raise SystemExit(said)
+    failing = ", ".join(re.findall(r"^FAILED (\S+)", said, re.MULTILINE)[:9])
     return [versions | {"tests": " ".join(options.paths)} | counts | {"failing": failing}]
 
 

@@ -84,9 +84,10 @@ class CylinderMap(AbstractRound):
     def cells_per_contact(self, features, depth):
         fall, narrowness, end = features[2:]
         square = self.square_in_scar(narrowness**-2.0, depth)
-        fallen = jnp.abs(fall * end) * self.coarse_along / self.cells[1]
-        overlap = 0.5 * self.clearance * square
-        return self.cell / jnp.sqrt(square), fallen / overlap
+        fallen, overlap = jnp.abs(fall * end), 0.5 * self.clearance * square
+        # Cells widen no contact that goes from end to end.
+        along = jnp.where(fallen > overlap, fallen / overlap, 0.0)
+        return self.cell / jnp.sqrt(square), along * self.coarse_along / self.cells[1]
 
     def narrowness(self, indentation: Scalar) -> Scalar:
         """One over half the width [1/rad] of a contact of some indentation [m]. Its mean over a

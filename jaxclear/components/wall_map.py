@@ -172,8 +172,10 @@ class WallMap(AbstractSurface):
         return 2.0 * safe_sqrt(_half_path_squared(features[0], features[1])) / self.cell
 
     def cells_per_contact(self, features, depth):
-        fallen = LEAST_CELLS * self.cell * positive_part(features[2]) / self.face
-        return (safe_divide(fallen, features[3] + depth),)
+        fallen, overlap = positive_part(features[2]), features[3] + depth
+        # Cells widen no contact that goes from end to end.
+        along = jnp.where(fallen > overlap, safe_divide(fallen, overlap), 0.0)
+        return (LEAST_CELLS * self.cell / self.face * along,)
 
     def places(self) -> Float[Array, " along"]:
         """Where the centre of each cell lies along the guide (or slider) [m]."""

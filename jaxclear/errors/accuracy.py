@@ -9,10 +9,10 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import numpy as np
 
-from jaxclear.errors.observables import Difference, Observables, differences, observed
+from jaxclear.errors.observables import Difference, Observables, differences, observed, safety_of
 from jaxclear.ground.arguments import check_name, check_number, expect
 from jaxclear.ground.printing import in_a_line
-from jaxclear.ground.quantity import is_traced
+from jaxclear.ground.quantity import is_traced, on_host
 from jaxclear.ground.wording import described, public_name
 from jaxclear.integrators.base import Promise
 from jaxclear.results.response import unit_of
@@ -43,7 +43,8 @@ class Bounds(NamedTuple):
 
     def observe(self, run: Trajectory) -> Observed:
         """What is compared of a run."""
-        return Observed(observed(run), tuple(float(np.asarray(f(run))) for _, f in self.responses))
+        drawn = tuple(float(np.asarray(f(run))) for _, f in self.responses)
+        return Observed(on_host(observed(run)), drawn)
 
     def differences(
         self, run: Trajectory, one: Observed, other: Observed, finest: Observed
@@ -62,7 +63,7 @@ class Bounds(NamedTuple):
         drawn = zip(self.responses, one.drawn, other.drawn, finest.drawn, strict=True)
         for (name, response), x, y, last in drawn:
             row = name, DRAWN, "", unit_of(response, run.mechanism), x, abs(x - y), abs(last)
-            rows.append(Difference(*row))
+            rows.append(Difference(*row, safety_of(run, response)))
         names = {name for row in rows for name in (row.answer, row.name)}
         for name, _ in self.units:
             check_name("answer", name, sorted(names), " of this run")
@@ -90,7 +91,11 @@ class Bounds(NamedTuple):
             one, other: what is observed of the two runs.
         """
         rows = ((row, self.allowed(row)) for row in self.differences(run, one, other, other))
-        return {row.name: ratio_to_allowed(row.off, most) for row, most in rows if most is not None}
+        return {
+            row.name: ratio_to_allowed(row.safety * row.off, most)
+            for row, most in rows
+            if most is not None
+        }
 
 
 def ratio_to_allowed(off: float, allowed: float) -> float:

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxclear.components.surface import AbstractSurface
-from jaxclear.errors.observables import label_of
+from jaxclear.errors.observables import label_of, safety_of
 from jaxclear.ground.numerics import safe_divide
 from jaxclear.ground.quantity import is_traced
 from jaxclear.ground.table import as_table
@@ -27,6 +27,8 @@ from jaxclear.results.trajectory import Trajectory
 from jaxclear.results.verification import TABLE_COLUMNS, AbstractVerification, Estimate, Unverified
 
 HALF, QUARTER = 0.5, 0.25
+# Roache's factor of an error of an order that is known (`factor_of_cells`).
+SAFETY = 1.25
 WORDS = {
     "places": "of the longest way",
     "gaps": "of the clearance",
@@ -136,7 +138,8 @@ class Verified(AbstractVerification):
             return Estimate(value, math.nan, f"in finer steps the same fails: {failure}")
         try:
             share = max(factors_of_cells(run).values(), default=1.0)
-            estimate = lambda *each: _estimate_error(*each, self.step_ratios, share)
+            factors = self.step_ratios, share, safety_of(run, response)
+            estimate = lambda *each: _estimate_error(*each, *factors)
             error = jax.tree.map(estimate, value, coarse, *values)
         except (TypeError, ValueError):
             return Estimate(value, math.nan, "the answer is no number, or of another form there")
@@ -144,16 +147,17 @@ class Verified(AbstractVerification):
             return Estimate(value, math.nan, "the answer is no number")
         if not all(is_traced(e) or np.all(np.isfinite(e)) for e in jax.tree.leaves(error)):
             return Estimate(value, error, "the answer is not finite, there or in finer steps")
-        return Estimate(value, error, self._how_estimated())
+        safe = safety_of(run, response) > 1
+        return Estimate(value, error, self._how_estimated("three times" if safe else "twice"))
 
-    def _how_estimated(self) -> str:
-        more = {QUARTER: "half and a quarter of the step", HALF: "half the step, from two starts"}
+    def _how_estimated(self, times: str = "twice") -> str:
+        more = {QUARTER: "half and quarter steps", HALF: "half the step, from two starts"}
         steps = "half the step" if len(self.replicas) == 1 else more[self.step_ratios[-1]]
         began = not is_traced(self.since) and self.since != 0
         since = f", since {float(self.since):.6g} s" if began else ""
         if self.coarser is not None:
             return f"the change with {steps} and with wider cells{since}"
-        return f"twice the change with {steps}{since}"
+        return f"{times} the change with {steps}{since}"
 
     def tolerance(self, response: Any) -> float | None:
         """The share that is promised of a response; None for nothing."""
@@ -169,7 +173,10 @@ class Verified(AbstractVerification):
         return {"numerical errors": "; ".join(rows)}
 
     def _summary(self):
-        of = lambda t: "chaotic" if t.chaotic else "exceeded" if t.beyond else ""
+        exceeded = lambda t: "exceeded" if t.beyond else ""
+        # An error as large as the gap leaves open where in it a part is.
+        unknown = lambda t: "anywhere in the gap" if t.part == "gaps" and t.share >= 1 else ""
+        of = lambda t: "chaotic" if t.chaotic else unknown(t) or exceeded(t)
         table = self.table().drop(columns=["relative error", "tolerance"])
         for head in ("relative error", "tolerance"):
             parts = [100 * part for part in self.table()[head]]
@@ -177,6 +184,10 @@ class Verified(AbstractVerification):
         marks = [of(t) for t in self.entries]
         table = table.assign(remark=marks) if any(marks) else table
         how = f"Error estimate: {self._how_estimated()}. {self.why}".rstrip()
+        if self.coarser is None and any(t.answer == "worn depth" for t in self.entries):
+            how += "\nThat of worn depths is three times the change."
+        if any(t.part == "gaps" for t in self.entries):
+            how += "\nValues of places: of bodies the largest displacement, in a gap the clearance."
         peaks = {t.place: t.value for t in self.entries if t.part == "peak_force"}
         means = [t for t in self.entries if t.part == "mean_force"]
         if any(t.value > peaks.get(t.place, np.inf) for t in means):
@@ -253,10 +264,10 @@ def _cell_factors(run: Trajectory) -> dict[str, Any]:
 def factor_of_cells(surface: AbstractSurface, features: Any, depth: Any, narrow: Any) -> Any:
     """Error that cells leave in a worn depth, over the change when cells are twice as wide.
 
-    It is that of order 2; of a narrow scar that of order 1. Scars of flat faces have edges anywhere
-    in a cell, so two resolutions agree by chance: there Roache's factor of safety, 3, on order 1. A
-    contact narrower than its cells has been widened to them, and depths go with one over each of
-    its widths, of which fourth powers add up.
+    It is that of order 2; of a narrow scar that of order 1. A contact narrower than its cells has
+    been widened to them, and depths go with one over each of its widths, of which fourth powers add
+    up. All with Roache's factor of safety where the order is that of a law, 1.25. Scars of flat
+    faces have edges anywhere in a cell, so two resolutions agree by chance: there 3 on order 1.
 
     Args:
         surface: with its cells.
@@ -264,7 +275,7 @@ def factor_of_cells(surface: AbstractSurface, features: Any, depth: Any, narrow:
         depth: worn depth of each cell [m].
         narrow: how narrow the scar is (`Check.WEAR_BY_CELLS`).
 
-    Source: Roache 1994, J. Fluids Eng. 116, 405, doi:10.1115/1.2910291.
+    Source: Roache 1997, Annu. Rev. Fluid Mech. 29, 123, doi:10.1146/annurev.fluid.29.1.123.
     """
     resolved = jnp.where(narrow <= Check.WEAR_BY_CELLS.limit, 1 / 3, 1.0)
     sizes = surface.cells_per_contact(features, surface.deepest(depth))
@@ -273,14 +284,14 @@ def factor_of_cells(surface: AbstractSurface, features: Any, depth: Any, narrow:
     )
     change = by_cells - by_wider
     widened = jnp.where(change > 0, safe_divide(1.0 - by_cells, change), 0.0)
-    return jnp.maximum(3.0 if surface.flat else resolved, widened)
+    return jnp.maximum(3.0 if surface.flat else SAFETY * resolved, SAFETY * widened)
 
 
 def _estimate_error(value: Any, coarse: Any, *rest: Any) -> Any:
     """Of a number, or an array of them, from one on `coarse` cells, others in finer steps, the
-    ratios of these steps and the share of what cells change. Raises `TypeError` or `ValueError`
-    for what is none, and for arrays of another shape."""
-    *values, ratios, share = rest
+    ratios of these steps, the share of what cells change and the factor of what steps change.
+    Raises `TypeError` or `ValueError` for what is none, and for arrays of another shape."""
+    *values, ratios, share, safety = rest
     number, coarse, *others = (
         each if is_traced(each) else np.asarray(each, float) for each in (value, coarse, *values)
     )
@@ -288,5 +299,5 @@ def _estimate_error(value: Any, coarse: Any, *rest: Any) -> Any:
         raise ValueError("arrays of another shape")
     with np.errstate(invalid="ignore"):
         by_steps = richardson([abs(number - other) for other in others], ratios)
-        error = by_steps + share * abs(number - coarse)
+        error = safety * by_steps + share * abs(number - coarse)
     return error if is_traced(error) else np.asarray(error)[()]

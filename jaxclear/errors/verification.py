@@ -12,6 +12,7 @@ J. Fluids Eng. 116, 405, doi:10.1115/1.2910291.
 """
 
 import dataclasses
+import functools
 import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -27,7 +28,6 @@ from jaxclear.ground.quantity import concrete, is_traced, with_fields
 from jaxclear.integrators.base import SLIVER, AbstractIntegrator
 from jaxclear.integrators.events import Events
 from jaxclear.multibody.length_scales import narrowest
-from jaxclear.multibody.system import wearing_in
 from jaxclear.native import stoppable
 from jaxclear.native.compiled import compiled_quickly
 from jaxclear.results.trajectory import Trajectory
@@ -146,12 +146,12 @@ def verify_run(
         verify: whether replicas are run; None: where they take seconds at most.
         bounds: required accuracy; None: what the integrator promises.
     """
-    bounds = Bounds(integrator.promise) if bounds is None else bounds
     why = _why_unverified(run, verify)
     # Worn depths hang on updates and cells, which nothing but replicas looks at.
     warns = why == LONG and bool(run.worn)
-    verification: AbstractVerification = Unverified(_with_choice_reason(why, bounds), warns)
+    verification: AbstractVerification = _unverified(_with_choice_reason(why, bounds), warns)
     if not why:
+        bounds = Bounds(integrator.promise) if bounds is None else bounds
         try:
             with stoppable():
                 verification = _verify_by_replicas(run, integrator, again, bounds)
@@ -163,8 +163,12 @@ def verify_run(
     return with_fields(run, verification=verification)
 
 
-def _with_choice_reason(why: str, bounds: Bounds) -> str:
-    return f"{why}. {bounds.why.removesuffix('.')}" if bounds.why else why
+# Built once for each reason.
+_unverified = functools.lru_cache(maxsize=16)(Unverified)
+
+
+def _with_choice_reason(why: str, bounds: Bounds | None) -> str:
+    return f"{why}. {bounds.why.removesuffix('.')}" if bounds is not None and bounds.why else why
 
 
 def _verify_by_replicas(
@@ -174,7 +178,8 @@ def _verify_by_replicas(
     bounds: Bounds,
 ) -> AbstractVerification:
     coarse, counting = bounds.observe(run), integrator
-    if coarse.standard.rooms is not None:
+    plain = type(integrator).counting_in is AbstractIntegrator.counting_in
+    if coarse.standard.rooms is not None and not plain:
         counting = _counting(integrator, coarse.standard.rooms, coarse.standard.arm)
 
     def repeated(plan: Replica, moved: float = 0.0) -> Trajectory:
@@ -193,7 +198,8 @@ def _verify_by_replicas(
         pairs = (bounds.differences(run, coarse, other, finer[-1]) for other in finer)
         rows = list(zip(*pairs, strict=True))
         promised = np.array([_number_or_nan(bounds.tolerance(row[-1])) for row in rows])
-        shares = np.array([float(richardson([d.share for d in row], ratios)) for row in rows])
+        safety = np.array([row[0].safety for row in rows])
+        shares = safety * [float(richardson([d.share for d in row], ratios)) for row in rows]
         gaps = np.array([row[0].part == "gaps" for row in rows])
         second: tuple[Trajectory, float] | None = None
         if chaotic is None and np.any(gaps & ~np.isnan(promised) & ~(shares <= promised)):
@@ -207,7 +213,7 @@ def _verify_by_replicas(
         if len(replicas) > 1 or second is None:
             break
         replicas, ratios = [*replicas, second[0]], [*ratios, second[1]]
-    errors = [float(richardson([d.off for d in row], ratios)) for row in rows]
+    errors = list(safety * [float(richardson([d.off for d in row], ratios)) for row in rows])
     coarser = _run_on_coarser_cells(run, integrator, repeated)
     if coarser is not None:
         rows_of_cells = bounds.differences(run, coarse, bounds.observe(coarser), finer[-1])
@@ -233,14 +239,14 @@ def _verify_by_replicas(
             errors[k] = shares[k] * abs(row.value)
     numbers = np.stack([[row[0].value for row in rows], errors, shares, promised], axis=1)
     chaotic = np.zeros(len(rows), bool) if chaotic is None else chaotic
-    of_replica = Unverified(OF_A_REPLICA)
-    companions = tuple(dataclasses.replace(each, verification=of_replica) for each in replicas)
-    coarser = coarser and dataclasses.replace(coarser, verification=of_replica)
+    of_replica = _unverified(OF_A_REPLICA, False)
+    companions = tuple(with_fields(each, verification=of_replica) for each in replicas)
+    coarser = coarser and with_fields(coarser, verification=of_replica)
     answers = tuple((row[0].answer, row[0].part, row[0].place, row[0].unit) for row in rows)
     ends = np.asarray(run.time)[0], bounds.promise, answers, integrator.remedy, bounds.why
-    return Verified(
-        companions, numbers, chaotic, path, *ends, coarser=coarser, step_ratios=tuple(ratios)
-    )
+    # What runs hold needs no look, which takes longer than all the rest.
+    verified = Verified((), numbers, chaotic, path, *ends, step_ratios=tuple(ratios))
+    return with_fields(verified, replicas=companions, coarser=coarser)
 
 
 def _run_on_coarser_cells(
@@ -248,8 +254,7 @@ def _run_on_coarser_cells(
 ) -> Trajectory | None:
     """The run on worn surfaces whose cells are twice as wide; None where none has cells that a loss
     is shared among, or the run fails so."""
-    maps = [m for joint in wearing_in(run.mechanism).values() for m, _ in joint.maps().values()]
-    if not any(math.prod(m.cells) > 1 for m in maps):
+    if not any(depths.size > 1 for surfaces in run.worn.values() for depths in surfaces.values()):
         return None
     coarser = repeated(Replica(integrator, np.asarray(run.time), coarseness=2.0))
     return coarser if coarser.succeeded else None

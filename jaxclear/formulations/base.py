@@ -14,6 +14,7 @@ from jaxclear.components.clearance import CarryingEnd
 from jaxclear.components.coupling import AbstractCoupling
 from jaxclear.formulations.model import Instant, Model
 from jaxclear.ground import sparse as sp
+from jaxclear.ground.module import AbstractModule
 from jaxclear.ground.quantity import concrete
 from jaxclear.multibody.forces import Forces
 from jaxclear.multibody.mechanism import Mechanism
@@ -50,7 +51,7 @@ class ContactReport(NamedTuple):
     ends: tuple[CarryingEnd, ...] = ()
 
 
-class AbstractFormulation(eqx.Module):
+class AbstractFormulation(AbstractModule):
     """How contact enters the equations of motion. An integrator holds one.
 
     Class attribute of a member: `forces_are_means`, whether the forces of contacts are no functions

@@ -63,7 +63,7 @@ def _work_rates(model: Model, time: Any, entries: list, mean: list) -> list:
     middle = _acting_forces(model, time, [*entries[:first], *mean, *entries[last:]])[0]
     work, loss, rubbed = 0, 0, 0
     # The rows of contacts come first.
-    for row, name in zip(start.rows, system.bearings, strict=False):
+    for row, name in zip(start.rows[: len(system.bearings)], system.bearings, strict=True):
         power, pressed, damped = row.direction.rate(middle.motions), 0, 0
         points = zip(start.reports[name].points, middle.reports[name].points, strict=True)
         for initial, moved in points:
@@ -216,13 +216,13 @@ class CompliantContact(AbstractFormulation):
             forces [N; N m of flanks], an array.
         """
         system, forces = model.system, list[Any]()
-        motions = zip(*motion, strict=True)
+        motions, count = list(zip(*motion, strict=True)), model.layout.joint_contacts
         places = zip(laws_of_contacts(system), impact_speed_places(model.layout), strict=True)
-        for (law, place), (depth, rate) in zip(places, motions, strict=False):
+        for (law, place), (depth, rate) in zip(places, motions[:count], strict=True):
             speed = None if place is None else impact_speed_now(state[place], rate)
             damps = not follows_depth(law)
             forces.append(law.contact.normal_force(depth, rate, speed) if damps else 0.0)
-        for k, moving in enumerate(motions):
+        for k, moving in enumerate(motions[count:]):
             train = system.transmissions[model.layout.plays[k // 2]]
             forces.append(torque_on_flanks(train, *moving))
         return jnp.asarray(sp.stack(forces))

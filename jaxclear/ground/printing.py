@@ -18,6 +18,7 @@ import equinox as eqx
 import jax
 import numpy as np
 
+from jaxclear.ground.module import AbstractModule
 from jaxclear.ground.wording import described, public_name, unknown
 
 if TYPE_CHECKING:
@@ -37,6 +38,16 @@ Unit = Callable[[Mapping[str, Any]], str]
 def unit_of_field(metadata: Mapping[str, Any]) -> str:
     """The unit that a field declares."""
     return metadata.get("unit", "1")
+
+
+def in_part(part: Any, metadata: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The metadata of a field: of a stiffness by the exponent of its law, with that in the unit."""
+    if not metadata.get("unit", "").endswith("^exponent"):
+        return metadata
+    power = 1.5 if part.exponent is None else part.exponent
+    if isinstance(power, jax.core.Tracer) or np.ndim(power):
+        return metadata
+    return {**metadata, "unit": metadata["unit"].replace("exponent", f"{float(power):g}")}
 
 
 def part_in_words(part: Any) -> str:
@@ -85,7 +96,10 @@ def fields_in_words(part: Any, unit: Unit = unit_of_field) -> Iterator[tuple[str
         value = getattr(part, field.name)
         empty = isinstance(value, (str, tuple, dict)) and not value
         if value is not None and not empty:
-            yield field.name, f"{field.name} {_format_value(value, field.metadata, unit)}"
+            yield (
+                field.name,
+                f"{field.name} {_format_value(value, in_part(part, field.metadata), unit)}",
+            )
 
 
 def _format_value(value: Any, metadata: Mapping[str, Any], unit: Unit) -> str:
@@ -128,7 +142,7 @@ WIDTH, MOST_LINES = 80, 12
 MOST_DIGITS, USER_DIGITS = 15, 10
 
 
-class AbstractShown(eqx.Module, metaclass=PublicMeta):
+class AbstractShown(AbstractModule, metaclass=PublicMeta):
     """What is shown in words and tables."""
 
     @abstractmethod

@@ -39,11 +39,12 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.extend.core import get_opaque_trace_state
 from jaxtyping import Array, Float
 
 from jaxclear.ground.argument_errors import AnsweringMeta
 from jaxclear.ground.precision import check_double_precision, check_not_forked
-from jaxclear.ground.printing import AbstractShown, part_in_words
+from jaxclear.ground.printing import AbstractShown, in_part, part_in_words
 from jaxclear.ground.wording import described, final_members, offered_like, public_name
 
 # Things that a function of Python's encloses, of which no more are looked at.
@@ -269,8 +270,10 @@ if TYPE_CHECKING:
 else:
     Scalar = Float[Array, ""]
 
-# Some number, to see whether operations are traced.
+# Some number, to see whether operations are traced, and where JAX says that nothing traces them.
 ANY = np.zeros(())
+with jax.ensure_compile_time_eval():
+    EAGER = get_opaque_trace_state(convention="jaxclear")
 # Compared as NumPy compares: jnp.float64 takes a microsecond each time.
 FLOAT64 = np.dtype("float64")
 # What NumPy would turn into a number, and nobody means as one.
@@ -333,10 +336,20 @@ def concrete(value: Any) -> float | None:
 def is_traced(tree: Any) -> bool:
     """Whether any number of a tree is being traced, so that nobody knows it yet; those that
     functions of Python's enclose, too."""
+    leaves = jax.tree.leaves(tree)
+    if not any(map(_may_be_traced, set(map(type, leaves)))):
+        return False
     return any(
         isinstance(leaf, jax.core.Tracer) or (callable(leaf) and _has_traced_closure(leaf))
-        for leaf in jax.tree.leaves(tree)
+        for leaf in leaves
     )
+
+
+@functools.cache
+def _may_be_traced(kind: type) -> bool:
+    """Whether things of a kind are traced, or functions that may enclose what is."""
+    is_function = any("__call__" in vars(base) for base in kind.__mro__)
+    return is_function or issubclass(kind, jax.core.Tracer)
 
 
 def _has_traced_closure(function: Any) -> bool:
@@ -425,14 +438,24 @@ def with_numbers_alone(tree: Any) -> Any:
 
 def is_tracing() -> bool:
     """Whether a program is being traced, whatever is known in it."""
-    return isinstance(jax.lax.neg_p.bind(ANY), jax.core.Tracer)
+    # An operation takes thirty times as long as the comparison, and `jax.vmap` alone traces none.
+    eager = get_opaque_trace_state(convention="jaxclear") == EAGER
+    return not eager and isinstance(jax.lax.neg_p.bind(ANY), jax.core.Tracer)
 
 
 def on_device(numbers: Any) -> jax.Array:
     """As `jnp.asarray`, which compiles a program for every shape of numbers that are known."""
     if is_traced(numbers) or is_tracing():
         return jnp.asarray(numbers)
+    if isinstance(numbers, float):
+        return _number_on_device(np.float64(numbers).tobytes())
     return jax.device_put(np.asarray(numbers))
+
+
+@functools.lru_cache(maxsize=64)
+def _number_on_device(content: bytes) -> jax.Array:
+    """A number of these bytes: JAX takes thirty microseconds to make one."""
+    return jax.device_put(np.frombuffer(content).reshape(()))
 
 
 def constant(tree: Any) -> Any:
@@ -663,7 +686,7 @@ def _iterate_numbers(tree, path, metadata):
             inner = f"{path}.{name}" if path else name
             value = getattr(tree, name)
             if isinstance(value, jax.Array):
-                yield inner, value, field_metadata
+                yield inner, value, in_part(tree, field_metadata)
             elif value is not None:
                 yield from _iterate_numbers(value, inner, field_metadata)
     elif isinstance(tree, dict):

@@ -20,6 +20,8 @@ class Key:
 
     def __init__(self, *arguments: Any):
         self.arguments = arguments
+        self.leaves: list[Any]
+        self.structure: Any
         self.leaves, self.structure = jax.tree.flatten(arguments)
 
     @functools.cached_property
@@ -27,8 +29,13 @@ class Key:
         """All of it; of numbers that are being traced there is none."""
         return (self.structure, *map(_hashable_leaf, self.leaves))
 
-    def __hash__(self) -> int:
+    @functools.cached_property
+    def hash(self) -> int:
+        """Looked up several times in each call."""
         return hash(self.key)
+
+    def __hash__(self) -> int:
+        return self.hash
 
     def __eq__(self, other: Any) -> bool:
         return self.key == other.key

@@ -35,7 +35,7 @@ FIRM = "\u00a0"
 # A unit behind a name.
 UNIT = re.compile(r"\[[^\[\]]*\]$")
 # Where a line may break.
-PIECE = re.compile(r"(?<=[ .-])(?=[^ ])")
+PIECE = re.compile(r"(?<= )(?=[^ ])|(?<=[.-])(?=[^ \d])")
 
 
 def as_table(

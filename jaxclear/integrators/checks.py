@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from jaxclear.ground.module import AbstractModule
 from jaxclear.ground.outcome import AbstractOutcome
 from jaxclear.ground.printing import AbstractShown
 from jaxclear.ground.quantity import constant, is_traced, on_numbers
@@ -295,7 +296,7 @@ class Check(AbstractCheck):
 RAN_AWAY = 1e6
 
 
-class Figure(eqx.Module):
+class Figure(AbstractModule):
     """The worst of a figure at each of its `places`, and at what `time` [s] its saving interval
     ended."""
 

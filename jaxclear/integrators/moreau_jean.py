@@ -43,7 +43,7 @@ from jaxclear.formulations.unilateral import MoreauJeanSettings
 from jaxclear.ground.grouping import packed, unpacked
 from jaxclear.ground.numerics import safe_divide
 from jaxclear.ground.outcome import Unknown
-from jaxclear.ground.quantity import Scalar, on_device, on_host, quantity
+from jaxclear.ground.quantity import Scalar, on_device, on_host, quantity, with_fields
 from jaxclear.ground.tangents import (
     allow_first_derivative,
     apply_if,
@@ -335,7 +335,7 @@ class MoreauJean(AbstractIntegrator):
     project: bool = eqx.field(static=True, default=True, kw_only=True)
 
     def with_finer_steps(self, share):
-        return eqx.tree_at(lambda a: a.step, self, on_device(share * on_host(self.step)))
+        return with_fields(self, step=on_device(share * on_host(self.step)))
 
     @property
     def formulation(self):

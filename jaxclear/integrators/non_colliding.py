@@ -9,7 +9,7 @@ import equinox as eqx
 from jaxclear.formulations.joint_friction import NonCollidingSettings
 from jaxclear.formulations.loop_closing import closed
 from jaxclear.formulations.permanent import PermanentContact
-from jaxclear.ground.quantity import Scalar, on_device, on_host, quantity
+from jaxclear.ground.quantity import Scalar, on_device, on_host, quantity, with_fields
 from jaxclear.integrators.base import PERMANENT, AbstractIntegrator, searching_steps
 
 # Last change of friction in a search, relative to its bound, beyond which it may be far from the
@@ -66,7 +66,7 @@ class NonColliding(AbstractIntegrator):
     regularised: bool = eqx.field(static=True, default=False, kw_only=True)
 
     def with_finer_steps(self, share):
-        return eqx.tree_at(lambda a: a.step, self, on_device(share * on_host(self.step)))
+        return with_fields(self, step=on_device(share * on_host(self.step)))
 
     @property
     def formulation(self):

@@ -42,6 +42,7 @@ from jaxclear.ground.quantity import (
     with_fields,
     with_quantities,
 )
+from jaxclear.ground.recent_results import Key, Latest
 from jaxclear.ground.table import as_table
 from jaxclear.ground.wording import described, public_name
 from jaxclear.multibody import validation
@@ -479,6 +480,10 @@ def _copy_shared_parts(parts: tuple[dict[str, Any], ...]) -> tuple[Parts, ...]:
     )
 
 
+# Forms of mechanisms that were looked at: a form decides all that is looked at.
+_SOUND_FORMS: Latest[bool] = Latest(64)
+
+
 def check_mechanism(mechanism: Any, what: str) -> None:
     """Raises `ValueError` where something is no mechanism, or one of which a part was exchanged
     after it was built (by `equinox.tree_at`, say) for what is no such part or has other coordinates
@@ -489,7 +494,11 @@ def check_mechanism(mechanism: Any, what: str) -> None:
         what: begins the message: what it is handed over as.
     """
     expect(mechanism, Mechanism, what, "a jaxclear.Mechanism")
-    eqx.filter_eval_shape(_check_form, with_quantities(mechanism))
+    leaves, structure = jax.tree.flatten(mechanism)
+    form = Key(structure, [jax.typeof(x) if eqx.is_array(x) else x for x in leaves])
+    if _SOUND_FORMS.get(form) is None:
+        eqx.filter_eval_shape(_check_form, with_quantities(mechanism))
+        _SOUND_FORMS.keep(form, True)
 
 
 def _check_form(mechanism: Mechanism) -> None:

@@ -107,17 +107,19 @@ _AT_HAND: Latest[_Compiled] = Latest(AT_HAND)
 
 
 def compiled_quickly(
-    function: Callable[..., Any], options: dict[str, Any] = QUICK
+    function: Callable[..., Any], options: dict[str, Any] | None = None
 ) -> Callable[..., Any]:
-    """As `equinox.filter_jit`, compiled with these options of XLA's. Within another program it is
-    part of that one, and compiled as that one is."""
+    """As `equinox.filter_jit`, compiled with these options of XLA's; without any, as what runs
+    once: `QUICK`, and its functions that are kernels are not optimised either. Within another
+    program it is part of that one, and compiled as that one is."""
+    xla_options = QUICK if options is None else options
     # Its annotations leave out what it hands on to `jax.jit`.
     compiled: Any = eqx.filter_jit
     plain = compiled(function)
 
     @functools.cache
     def quick(unknown: frozenset[str]) -> Callable[..., Any]:
-        return compiled(function, compiler_options=_supported(options, unknown))
+        return compiled(function, compiler_options=_supported(xla_options, unknown))
 
     @functools.wraps(function)
     def call(*arguments):
@@ -128,13 +130,14 @@ def compiled_quickly(
         while True:
             unknown = frozenset(_unknown)
             try:
-                program = _find(function, _supported(options, unknown), leaves, tree)
-                if program is not None:
-                    return program([leaf for leaf in leaves if eqx.is_array(leaf)])
-                with uncollected():
-                    return quick(unknown)(*arguments)
+                with verdicts.lowered_to_run_once(options is None):
+                    program = _find(function, _supported(xla_options, unknown), leaves, tree)
+                    if program is None:
+                        with uncollected():
+                            return quick(unknown)(*arguments)
+                return program([leaf for leaf in leaves if eqx.is_array(leaf)])
             except jax.errors.JaxRuntimeError as error:
-                lacking = [name for name in options if f"{NO_OPTION}: '{name}'" in str(error)]
+                lacking = [name for name in xla_options if f"{NO_OPTION}: '{name}'" in str(error)]
                 if not lacking:
                     raise
                 _unknown.update(lacking)

@@ -177,8 +177,9 @@ STRUCTURES = (
     "struct XLA_FFI_Metadata_Extension { XLA_FFI_Extension_Base extension_base; "
     "XLA_FFI_Metadata* metadata; };",
 )
-# Structures that later versions call otherwise, and lay out alike.
+# Structures and functions that later versions call otherwise, and lay out alike.
 RENAMED = {
+    "XLA_FFI_Error_GetDetails": "XLA_FFI_Error_GetMessage",
     "XLA_FFI_InternalExtension": "XLA_FFI_Extension_Base",
     "XLA_FFI_InvokeContext": "XLA_FFI_ExecutionContext",
 }

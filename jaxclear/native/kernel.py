@@ -181,14 +181,18 @@ _BUILDING = threading.RLock()
 _KERNELS: "weakref.WeakValueDictionary[int, Kernel]" = weakref.WeakValueDictionary()
 
 
-def _assembled(program: Program, lanes: int, checked: bool = False) -> tuple[str, int, str]:
-    """The name and the number of a kernel, which its whole text decides, and this."""
+def _assembled(
+    program: Program, lanes: int, checked: bool = False, is_run_once: bool = False
+) -> tuple[str, int, str]:
+    """The name and the number of a kernel, which its whole text and how it is compiled decide, and
+    this text."""
     text = text_of(program, lanes, checked)
     constants, state = avals_of(program)
     array_shapes = list(zip([*constants, *state], in_memory(program), strict=True))
     long = [aval for aval, is_long in array_shapes if is_long]
     shared = [i in program.shared for i, is_long in enumerate(in_memory(program)) if is_long]
     form = f"{lanes}{[a.shape for a in long]}{shared}{program.tables}{program.length}{program.long}"
+    form += "once" if is_run_once else ""
     changed = [floats_in([aval]) for aval in arrays_in_memory(program)]
     mark = hashlib.sha256(f"{text}{form}".encode()).hexdigest()
     name = f"jaxclear_{mark[:24]}"
@@ -205,17 +209,19 @@ def _assembled(program: Program, lanes: int, checked: bool = False) -> tuple[str
     return (name, max(int(mark[:16], 16) >> 1, 1), full_text)
 
 
-def build(program: Program, lanes: int) -> Kernel:
-    """Compile and make known, and check where that is asked for. Raises `Unsupported`."""
+def build(program: Program, lanes: int, is_run_once: bool = False) -> Kernel:
+    """Compile and make known, and check where that is asked for; what runs once is not optimised.
+    Raises `Unsupported`."""
     dispatch.register_with_xla()
     free_the_unused()
-    name, number, text = _assembled(program, lanes)
+    name, number, text = _assembled(program, lanes, is_run_once=is_run_once)
     with _BUILDING:
         kernel = _KERNELS.get(number)
         if kernel is None:
             if check.is_check_enabled():
                 _check_turn(program, lanes)
-            kernel = _register_kernel(number, name, *object_code.load_or_compile(text))
+            code = object_code.load_or_compile(text, is_run_once)
+            kernel = _register_kernel(number, name, *code)
         return kernel
 
 

@@ -52,7 +52,13 @@ from jaxclear.native.tangent import (
     side_by_side,
     tangent_program,
 )
-from jaxclear.native.verdicts import NOT_A_CPU, SWITCHED_OFF, note_fallback, note_verdict
+from jaxclear.native.verdicts import (
+    NOT_A_CPU,
+    SWITCHED_OFF,
+    is_lowered_to_run_once,
+    note_fallback,
+    note_verdict,
+)
 from jaxclear.native.writer import Unsupported
 
 LOG = logging.getLogger(__name__)
@@ -301,7 +307,8 @@ def has_kernels() -> bool:
 
 def _lower_on_cpu(ctx, *values, program, rank):
     def kernel(samples):
-        kernel = kernels.build(program, widest_lanes() if samples > 1 else 1)
+        is_run_once = samples == 1 and program.single_turn and is_lowered_to_run_once()
+        kernel = kernels.build(program, widest_lanes() if samples > 1 else 1, is_run_once)
         ctx.module_context.add_keepalive(kernel)
         return kernel.number
 

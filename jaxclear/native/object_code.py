@@ -14,6 +14,10 @@ from jaxclear.native import stopping
 # How much LLVM optimises each function of a kernel, from 0 (not) to 3. Its pipeline for whole
 # modules takes twice as long and makes the same code, as does level 2.
 SPEED_LEVEL = 1
+# How much LLVM optimises while it chooses and arranges instructions, from 0 to 3. At 0, and without
+# passes before that, the start of a robot with closed loops is code in a fiftieth of the time, and
+# takes some three times as long, which is milliseconds.
+CODE_LEVEL, CODE_LEVEL_ONCE = 3, 0
 
 
 def compiled(text: str) -> Any:
@@ -23,16 +27,16 @@ def compiled(text: str) -> Any:
     return _load_object(llvm.ObjectFileRef.from_data(_compile_to_object(text)))
 
 
-def load_or_compile(text: str) -> tuple[Any, str]:
+def load_or_compile(text: str, is_run_once: bool = False) -> tuple[Any, str]:
     """As `compiled`, from disk where it is there; and the key under which it is there from now
-    on."""
+    on. What runs once is not optimised; its text tells that by its name."""
     key = cache_folder.key_of(text, processor())
     engine = from_disk(key)
     if engine is not None:
         return engine, key
     import llvmlite.binding as llvm
 
-    code = _compile_to_object(text)
+    code = _compile_to_object(text, is_run_once)
     cache_folder.write(cache_folder.KERNEL, key, code)
     return _load_object(llvm.ObjectFileRef.from_data(code)), key
 
@@ -45,11 +49,12 @@ def from_disk(key: str) -> Any:
     return None if code is None else _load_object(llvm.ObjectFileRef.from_data(code))
 
 
-def _compile_to_object(text: str) -> bytes:
+def _compile_to_object(text: str, is_run_once: bool = False) -> bytes:
     import llvmlite.binding as llvm
 
-    module, machine = llvm.parse_assembly(text), _target_machine()
-    if SPEED_LEVEL:
+    machine = _target_machine(CODE_LEVEL_ONCE if is_run_once else CODE_LEVEL)
+    module = llvm.parse_assembly(text)
+    if SPEED_LEVEL and not is_run_once:
         optimise(module, machine)
     return machine.emit_object(module)
 
@@ -95,7 +100,7 @@ def processor() -> str:
     return f"{llvm.get_process_triple()} {name} {features} {numbers}"
 
 
-def _target_machine() -> Any:
+def _target_machine(level: int = CODE_LEVEL) -> Any:
     """LLVM's description of this processor; an engine takes it over, so each needs its own."""
     import llvmlite.binding as llvm
 
@@ -104,5 +109,5 @@ def _target_machine() -> Any:
     features = llvm.get_host_cpu_features().flatten()
     target = llvm.Target.from_default_triple()
     return target.create_target_machine(
-        opt=3, cpu=llvm.get_host_cpu_name(), features=features, jit=True
+        opt=level, cpu=llvm.get_host_cpu_name(), features=features, jit=True
     )

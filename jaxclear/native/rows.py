@@ -23,8 +23,8 @@ from jaxclear.native.while_loops import as_kernel, scan
 # Operations up to which a function is short: a body's place has some 100, the reactions of a
 # slider-crank have 456.
 SHORT = 200
-# Operations from which on what runs once is a kernel: to compile 2 500 of them LLVM takes as long
-# as XLA (0.5 s), for 47 000 a quarter of the time (5 s) and of the memory.
+# Operations from which on what runs once is a kernel: to compile and optimise 2 500 of them LLVM
+# takes as long as XLA (0.5 s), for 47 000 a quarter of the time (5 s) and of the memory.
 LONG = 2500
 # Rows that a kernel is handed at a time: constants come with every row.
 AT_A_TIME = 1024

@@ -9,7 +9,7 @@ and threads, and a second run says what the first one said.
 import threading
 import zlib
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from typing import Any
 
 import jax
@@ -60,25 +60,46 @@ class NoKernel(Exception):
     """A time loop of the program under way is left to XLA; the reason."""
 
 
-_ONLY = threading.local()
+class _Lowering(threading.local):
+    """How programs are lowered in a thread."""
+
+    only_kernels = False
+    run_once = False
+
+
+_LOWERING = _Lowering()
 
 
 @contextmanager
-def only_kernels() -> Iterator[None]:
-    """Within it no program is compiled one of whose time loops is left to XLA: `NoKernel` ends
-    that before XLA has begun."""
-    before = getattr(_ONLY, "kernels", False)
-    _ONLY.kernels = True
+def _lowering(name: str, value: bool) -> Iterator[None]:
+    before = getattr(_LOWERING, name)
+    setattr(_LOWERING, name, value)
     try:
         yield
     finally:
-        _ONLY.kernels = before
+        setattr(_LOWERING, name, before)
+
+
+def only_kernels() -> AbstractContextManager[None]:
+    """Within it no program is compiled one of whose time loops is left to XLA: `NoKernel` ends
+    that before XLA has begun."""
+    return _lowering("only_kernels", True)
+
+
+def lowered_to_run_once(is_run_once: bool) -> AbstractContextManager[None]:
+    """Within it programs are compiled that run once, or not."""
+    return _lowering("run_once", is_run_once)
+
+
+def is_lowered_to_run_once() -> bool:
+    """Whether the program that is being compiled is one that runs once."""
+    return _LOWERING.run_once
 
 
 def note_fallback(reason: str) -> None:
     """A time loop of the module under way has no kernel. Raises `NoKernel` within
     `only_kernels`."""
-    if getattr(_ONLY, "kernels", False):
+    if _LOWERING.only_kernels:
         raise NoKernel(reason)
 
 

@@ -19,6 +19,7 @@ from jaxclear.formulations.base import AbstractFormulation, model_of
 from jaxclear.formulations.model import Instant, Model
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.arguments import check_count, check_flags, expect
+from jaxclear.ground.module import AbstractModule
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.quantity import AbstractQuantified, Scalar
 from jaxclear.ground.wording import unknown
@@ -31,7 +32,7 @@ from jaxclear.multibody.topology import Redundancy, joint_of
 from jaxclear.native import over_rows
 
 
-class StateHistory(eqx.Module):
+class StateHistory(AbstractModule):
     """The saved states of a run, with what is needed to read them.
 
     Args:

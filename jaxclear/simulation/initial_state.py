@@ -2,12 +2,12 @@
 
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxclear.formulations.base import AbstractFormulation, model_of
 from jaxclear.ground.arguments import expect
+from jaxclear.ground.module import AbstractModule
 from jaxclear.ground.quantity import is_traced
 from jaxclear.ground.wording import listed
 from jaxclear.multibody import start_check
@@ -18,7 +18,7 @@ from jaxclear.results.state_history import State
 from jaxclear.simulation.wear import Worn, initial_depths
 
 
-class Past(eqx.Module):
+class Past(AbstractModule):
     """What a run takes over from one before: depth maps of `worn` surfaces [m], and what is
     `remembered` beside the motion; None: new surfaces, nothing to remember."""
 

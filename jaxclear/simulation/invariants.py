@@ -16,14 +16,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from jaxclear.components.surface import AbstractRound
+from jaxclear.components.surface import AbstractSurface
 from jaxclear.components.wear_map import AbstractWearMap
 from jaxclear.formulations.base import AbstractFormulation
 from jaxclear.formulations.model import Instant, Model
 from jaxclear.formulations.permanent_reactions import touching
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.grouping import MANY, unstacked
-from jaxclear.ground.numerics import positive_part, safe_divide, safe_sqrt
+from jaxclear.ground.numerics import positive_part, power, safe_divide, safe_sqrt
 from jaxclear.ground.pose import REST
 from jaxclear.ground.quantity import constant
 from jaxclear.integrators.checks import (
@@ -416,10 +416,10 @@ def wear_of_both_parts(model: Model, states: Array, ended: Worn) -> Figures:
     """By which share of its depth each scar may be too deep because its joint's other part, which
     wears at the same place, is taken to wear evenly all round; nothing where one part wears.
 
-    Parts that conform wear as if both losses were one scar, whose depth goes with the power 2/3 of
-    its volume (a line contact, `tests/rigs/worn_scar.py`; of a point more). Scars are as alike as
-    they are long beside the circumference, and wear shapes them where it is deep beside the
-    contact's indentation.
+    Parts that conform wear as if both losses were one scar (`tests/rigs/worn_scar.py`). Where its
+    area goes with a power m of its depth (1/2 of a line contact, 1 of a point, and of a corner on a
+    flat face), the depth goes with the power 1/(1 + m) of its volume. Scars are as alike as they
+    are long, of round parts beside the circumference.
 
     Args:
         model: of the run.
@@ -427,29 +427,36 @@ def wear_of_both_parts(model: Model, states: Array, ended: Worn) -> Figures:
         ended: depth maps [m] at its end, by joint and surface.
     """
     pairs = {
-        joint: surfaces
+        joint: {surface: wear_map for surface, (wear_map, _) in surfaces.items()}
         for joint, surfaces in wear_maps(model.system).items()
-        if len(surfaces) > 1 and all(isinstance(m, AbstractRound) for m, _ in surfaces.values())
+        if len(surfaces) > 1 and all(isinstance(m, AbstractSurface) for m, _ in surfaces.values())
     }
     if not any(slot.bearing in pairs for slot in model.layout.wear):
         return {}
     states, ended = jax.lax.stop_gradient((states, ended))
     lost, shares = losses(model.layout, states[0], states[-1]), {}
     for joint, surfaces in pairs.items():
-        areas = {surface: wear_map.areas() for surface, (wear_map, _) in surfaces.items()}
-        worn = {surface: jnp.sum(ended[joint][surface] * area) for surface, area in areas.items()}
-        deepest = {surface: jnp.max(ended[joint][surface]) for surface in surfaces}
-        extents = jnp.stack(
-            [safe_divide(worn[s], deepest[s] * jnp.sum(area)) for s, area in areas.items()]
-        )
-        alike = safe_divide(jnp.min(extents), jnp.max(extents)) * (1.0 - jnp.max(extents))
-        for surface, (wear_map, _) in surfaces.items():
+        depths, areas = ended[joint], {name: m.areas() for name, m in surfaces.items()}
+        is_flat = all(m.flat for m in surfaces.values())
+        if is_flat:
+            # Each wall by itself.
+            wall = jnp.argmax(sum(jnp.max(depths[s], axis=1) for s in surfaces))
+            depths, areas = ({s: each[s][wall] for s in surfaces} for each in (depths, areas))
+        worn = {s: jnp.sum(depths[s] * areas[s]) for s in surfaces}
+        deepest = {s: jnp.max(depths[s]) for s in surfaces}
+        scars = jnp.stack([safe_divide(worn[s], deepest[s]) for s in surfaces])
+        alike = safe_divide(jnp.min(scars), jnp.max(scars))
+        if not is_flat:
+            alike = alike * (1.0 - jnp.max(scars) / jnp.sum(areas[next(iter(surfaces))]))
+        for surface, wear_map in surfaces.items():
             volumes, places = lost[joint, surface]
             place = safe_divide(volumes @ places, jnp.sum(volumes))
+            sizes = lambda d, m=wear_map, at=place: jnp.stack(m.cells_per_contact(at, d))
             depth = sum(deepest.values())
-            elastic, scar = (wear_map.cells_per_contact(place, d)[0] for d in (0.0, depth))
-            share = worn[surface] / sum(worn.values())
-            figure = alike * (1.0 - (scar / elastic) ** 2) * (1.0 - jnp.cbrt(share))
+            cells, slopes = jax.jvp(sizes, (depth,), (depth,))
+            growth = -jnp.sum(safe_divide(slopes, cells))
+            share = safe_divide(worn[surface], sum(worn.values()))
+            figure = alike * (1.0 - power(share, growth / (1.0 + growth)))
             shares[joint, surface] = jnp.where(jnp.sum(volumes) > 0, figure, 0.0)
     slots = model.layout.wear
     return {Check.BOTH_WORN: sp.stack([shares.get((s.bearing, s.surface), 0.0) for s in slots])}
@@ -457,7 +464,8 @@ def wear_of_both_parts(model: Model, states: Array, ended: Worn) -> Figures:
 
 def path_between_saves(model: Model, states: Array) -> Figures:
     """The mean path of each contact on the surface that it wears from one saving time to the next
-    [cells], as what it loses there weighs it.
+    [cells], as what it loses there weighs it; where one step at one place is all that lies between
+    these, half of that over two intervals.
 
     Args:
         model: of the run.
@@ -465,12 +473,15 @@ def path_between_saves(model: Model, states: Array) -> Figures:
     """
     if not model.layout.wear:
         return {}
-    maps, means = wear_maps(model.system), {}
-    for (joint, surface), lost in losses_between(model.layout, constant(states)).items():
-        volumes, places = lost
-        paths = jax.vmap(jax.vmap(maps[joint][surface][0].path))(places)
-        paths = jnp.where(volumes > 0, jnp.broadcast_to(paths, volumes.shape), 0.0)
-        means[joint, surface] = safe_divide(jnp.sum(volumes * paths), jnp.sum(volumes))
+    maps = wear_maps(model.system)
+    means: dict[tuple[str, str], Any] = {}
+    for every in range(1, min(len(states), 3)):
+        for at, lost in losses_between(model.layout, constant(states), every).items():
+            volumes, places = lost
+            paths = jax.vmap(jax.vmap(maps[at[0]][at[1]][0].path))(places)
+            paths = jnp.where(volumes > 0, jnp.broadcast_to(paths, volumes.shape), 0.0)
+            mean = safe_divide(jnp.sum(volumes * paths), every * jnp.sum(volumes))
+            means[at] = jnp.maximum(means.get(at, 0.0), mean)
     slots = model.layout.wear
     return {Check.WEAR_AT_SAVES: jnp.stack([means[s.bearing, s.surface] for s in slots])}
 

@@ -154,7 +154,9 @@ def _examine(functions: dict[str, Any], integrator: AbstractIntegrator, times: A
     if is_traced((functions, step, integrator.breaks, times)):
         changing = constant({name: f for name, f in functions.items() if is_changing(f)})
         if step is not None or fixed is not None:
-            return LoadSteps(integrator, missed_shares(changing, *constant((times, step, fixed))))
+            steps = constant((times, step, fixed))
+            shares = {name: _traced_share(f, *steps) for name, f in changing.items()}
+            return LoadSteps(integrator, shares)
         return LoadSteps(_with_traced_breaks(integrator, changing, constant(times)), {})
     step, functions = concrete(step), on_host(functions)
     # What is known of them is looked at, also where something else is being traced.
@@ -205,8 +207,8 @@ def _times_of_change(rate: Any, looks: Any) -> Any:
 
 
 def missed_shares(
-    functions: Mapping[str, Any], times: Any, step: Any, fixed: int | None = None
-) -> dict[str, Any]:
+    functions: Mapping[str, Any], times: np.ndarray, step: float | None, fixed: int | None = None
+) -> dict[str, float]:
     """By name the share of what each gives that steps pass over: the largest error of its impulse,
     beside how far the impulse goes. Of what never changes that is 0, of too many steps nothing.
 
@@ -216,9 +218,7 @@ def missed_shares(
         step: longest step [s]; None: no bound.
         fixed: number of steps between saving times; None: decided by `step`.
     """
-    if is_traced((functions, times, step)):
-        return {name: _traced_share(f, times, step, fixed) for name, f in functions.items()}
-    total, edge_at = _find_edges(times, step, fixed)
+    total, edge_at = _find_edges(np, times, step, fixed)
     parts = 2 * max(IN_A_STEP // 2, math.ceil(LEAST / (2 * total)))
     if total * parts > MOST:
         return {}
@@ -228,9 +228,9 @@ def missed_shares(
     return shares
 
 
-def _find_edges(times: Any, step: Any, fixed: int | None) -> tuple[Any, Callable]:
-    """The number of steps of a run, and a function from their numbers to where they begin [s]."""
-    of = jnp if is_traced((times, step)) else np
+def _find_edges(of: Any, times: Any, step: Any, fixed: int | None) -> tuple[Any, Callable]:
+    """The number of steps of a run, and a function from their numbers to where they begin [s];
+    `of`: NumPy or what it is for traced numbers."""
     intervals = of.diff(times)
     lengths = of.inf if step is None else step
     counts = of.maximum(of.ceil(intervals / lengths * (1 - SLIVER)), fixed or 1)
@@ -302,7 +302,7 @@ def _traced_share(function: Any, times: Any, step: Any, fixed: int | None) -> An
     values_at = jax.vmap(functools.partial(_at, function))
     rates, integrals = jax.eval_shape(functools.partial(_at, function), 0.0)
     parts = TRACED_IN_A_STEP if integrals is None else 2
-    total, edge_at = _find_edges(jnp.asarray(times), step, fixed)
+    total, edge_at = _find_edges(jnp, jnp.asarray(times), step, fixed)
 
     def look(carry):
         first, sums = carry

@@ -3,6 +3,7 @@ saving time to the next (`loop`).
 """
 
 import dataclasses
+import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -99,6 +100,8 @@ def _run_differentiable(mechanism, coordinates, speeds, times, integrator, extra
     return forwards_only(NOT_BACKWARDS, result) if visible else result
 
 
+# What was simulated lately, by its arrays: those of JAX nobody changes.
+_KEYS: Latest[Key] = Latest(16)
 # Where runs from a mechanism's own start began, and in which steps, but for what was warned of;
 # which forms of mechanisms suit their integrators.
 _INITIAL: Latest[Beginning] = Latest(16)
@@ -242,11 +245,18 @@ def simulate(
         bounds, how = bounds_of_run(accuracy), how._replace(verify=verify is not False)
         trajectory = _simulate_to_accuracy(mechanism, duration, how, bounds)
     else:
-        integrator = Adaptive() if integrator is None else integrator
+        integrator = _usual_integrator() if integrator is None else integrator
         trajectory = _simulate_once(mechanism, duration, integrator, how)
     if throw:
         _check_end(trajectory)
     return trajectory
+
+
+@functools.cache
+def _usual_integrator() -> AbstractIntegrator:
+    """Built once: it has many checks."""
+    with jax.ensure_compile_time_eval():
+        return Adaptive()
 
 
 def _check_options(duration: Any, how: How, throw: bool) -> None:
@@ -265,12 +275,21 @@ def _check_options(duration: Any, how: How, throw: bool) -> None:
         )
 
 
-def _key(mechanism: Mechanism, integrator: AbstractIntegrator) -> Key | None:
-    """By which the beginning of a run from a mechanism's own start is found again, if it can be."""
-    if not isinstance(mechanism, Mechanism) or not isinstance(integrator, AbstractIntegrator):
-        return None
+def _make_key(mechanism: Mechanism, integrator: AbstractIntegrator) -> Key:
+    """A mechanism and an integrator, their quantities arrays, as a key; of the same arrays as
+    lately it is the same one, which knows all that is derived from it."""
     key = Key(mechanism, integrator)
-    return None if is_traced(key.leaves) else key
+    arrays = tuple(map(id, key.leaves))
+    earlier = _KEYS.get(arrays)
+    # It holds its arrays, so no others are at their addresses.
+    if earlier is not None and key.structure == earlier.structure:
+        return earlier
+    converted = with_quantities(key.arguments)
+    if converted is not key.arguments:
+        return Key(*converted)
+    if all(isinstance(leaf, jax.Array) for leaf in key.leaves) and not is_traced(key.leaves):
+        _KEYS.keep(arrays, key)
+    return key
 
 
 def _get_or_compute(latest: Latest[Value], key: Any, find: Callable[[], Value]) -> Value:
@@ -293,14 +312,16 @@ def _simulate_once(
     bounds: Bounds | None = None,
 ) -> Trajectory:
     """A run, however it ended. `bounds`: its accuracy (None: what the integrator promises)."""
-    mechanism, integrator = with_quantities((mechanism, integrator))
-    key = None if how.state is not None else _key(mechanism, integrator)
+    given = _make_key(mechanism, integrator)
+    mechanism, integrator = given.arguments
+    # By which the beginning of a run from a mechanism's own start is found again, if it can be.
+    can_begin = isinstance(mechanism, Mechanism) and isinstance(integrator, AbstractIntegrator)
+    key = given if can_begin and how.state is None and not is_traced(given.leaves) else None
     if key is None or _INITIAL.get(key) is None:
         check_run(mechanism, integrator)
     saving = checked_saving(how.save, integrator)
     times = saving_times(duration, saving.at)
-    state = State() if key is not None else state_of(how.state)
-    saved = on_host(state.start_time) + on_host(times)
+    saved = on_host(0.0 if key is not None else state_of(how.state).start_time) + on_host(times)
 
     def steps() -> LoadSteps:
         check_steps(integrator, times)
@@ -308,13 +329,15 @@ def _simulate_once(
 
     def start_state() -> Beginning:
         formulation = integrator.formulation
-        return beginning(formulation.modelled(mechanism), formulation, state)
+        return beginning(formulation.modelled(mechanism), formulation, state_of(how.state))
 
     of_times = None if key is None or is_traced(times) else (key, np.asarray(times).tobytes())
     step_limits = _get_or_compute(_STEPS, of_times, steps)
     mechanism, start, past, doubt, sound = _get_or_compute(_INITIAL, key, start_state)
     integrator, shares = step_limits
-    total = 1.0 if how.verify is False else 1.0 + 1 / HALF + bool(wearing_in(mechanism))
+    total = 1.0
+    if how.progress_bar and how.verify is not False:
+        total += 1 / HALF + bool(wearing_in(mechanism))
     with progress.bar(how.progress_bar, "simulating", total) as part:
         extras = Extras(how.balance, how.progress_bar, saving.events)
         kernel = is_all_kernel(mechanism, integrator, how.progress_bar)

@@ -1,6 +1,5 @@
 """Depth maps of worn surfaces: new ones, and what a saving interval takes off."""
 
-import dataclasses
 import functools
 from typing import Any, NamedTuple
 
@@ -12,7 +11,7 @@ from jaxtyping import Array, Float
 
 from jaxclear.components.wear_map import AbstractWearMap, Wearing
 from jaxclear.ground.arguments import check_name
-from jaxclear.ground.quantity import constant, is_traced
+from jaxclear.ground.quantity import constant, is_traced, with_fields
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.multibody.state import Layout
 from jaxclear.multibody.system import System, readings, wear_maps, wearing_in
@@ -61,7 +60,7 @@ def with_coarser_cells(mechanism: Mechanism, factor: float) -> Mechanism:
         return mechanism
     is_wearing = lambda node: isinstance(node, Wearing)
     wider = lambda node: (
-        dataclasses.replace(node, coarseness=factor * node.coarseness) if is_wearing(node) else node
+        with_fields(node, coarseness=factor * node.coarseness) if is_wearing(node) else node
     )
     return jax.tree.map(wider, mechanism, is_leaf=is_wearing)
 

@@ -299,8 +299,8 @@ def _refuse_position(scene: Posed, method: Any, spot: Any, i: int, now: np.ndarr
     place = f"at position {i}" + (f" ({where})" if where else "")
     if not amiss:
         raise ValueError(
-            f"the mechanism finds no rest {place}: something that nothing holds moves away under "
-            "its loads. Hold it, or give it a spring or a stop."
+            f"the mechanism finds no rest {place}: {_moving(scene.at(now), method, spot)} moves "
+            "away under its loads. Hold it, or give it a spring or a stop."
         )
     name = max(amiss, key=lambda x: np.nan_to_num(amiss[x], nan=np.inf))
     kind = "the loop through" if name in loops else "the journal of"
@@ -309,6 +309,18 @@ def _refuse_position(scene: Posed, method: Any, spot: Any, i: int, now: np.ndarr
         "there, or a dead point lies on the way from the position before; "
         f'{kind} joint "{name}" fits least. Give positions within reach, closer together.'
     )
+
+
+def _moving(scene: Posed, method: Any, spot: Any) -> str:
+    """What a further search moves furthest."""
+    further = np.abs(np.asarray(method.alone(scene, spot).q - spot.q)) / _coordinate_scales(scene)
+    further = np.nan_to_num(further, nan=np.inf)
+    if not further.size or further.max() <= SETTLED:
+        return "something that nothing holds"
+    index = int(further.argmax())
+    branches = scene.mechanism.topology.branches
+    branch = next(b for b in branches if b.coordinates.start <= index < b.coordinates.stop)
+    return f'{"body" if branch.connection is None else "joint"} "{branch.name}", free to move,'
 
 
 def positions_at(

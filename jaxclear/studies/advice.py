@@ -21,7 +21,7 @@ from jaxclear.errors.choice import Question, Rung, Search, Tried, budget_of, oth
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_flags, check_number, expect
 from jaxclear.ground.precision import check_double_precision
-from jaxclear.ground.printing import as_typed
+from jaxclear.ground.printing import as_typed, with_text_repr
 from jaxclear.ground.quantity import AbstractQuantified, count, inside, numbers
 from jaxclear.integrators import AbstractIntegrator
 from jaxclear.native.compiled import AROUND_A_KERNEL, compiled_quickly
@@ -155,6 +155,7 @@ class Accuracy(NamedTuple):
         return ratios
 
 
+@with_text_repr
 class Trial(NamedTuple):
     """A setting of a `method`: its `work` in a run [evaluations of forces], its `errors` by
     response as shares [1] of that, as told by finer settings; what its model leaves out
@@ -179,6 +180,16 @@ class Trial(NamedTuple):
         total = self.total
         name = max(total, key=lambda each: total[each], default="")
         return name, total.get(name, math.nan)
+
+    def __str__(self) -> str:
+        """The setting, its error and its work as a sentence."""
+        if self.remark:
+            return f"{as_typed(self.integrator)} fails: {self.remark}"
+        (name, error), verb = self.worst, "keeps" if self.meets else "does not keep"
+        return (
+            f"{as_typed(self.integrator)} {verb} the accuracy: estimated error {_percent(error)} "
+            f'in "{name}", {self.work} evaluations of forces a run.'
+        )
 
 
 class Advice(AbstractAnswer):

@@ -245,7 +245,9 @@ class MonteCarlo(AbstractAnswer):
         return self.problem.units()[response]
 
     def quantile(self, response: str, share: float) -> Statistic:
-        """The value that a `share` [1] of the samples does not exceed."""
+        """The value that a `share` [1] of the samples does not exceed, on a straight line between
+        the two samples next to it: definition 7 of Hyndman & Fan 1996, Am. Stat. 50, 361,
+        doi:10.2307/2684934, as NumPy takes."""
         check_number("share of quantile", share, above=0, below=1)
         return quantile(*self.good(response), share).in_unit(self._unit(response))
 

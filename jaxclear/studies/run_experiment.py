@@ -35,7 +35,7 @@ from jaxclear.multibody.assembly_modes import Nominal
 from jaxclear.multibody.length_scales import narrowest_gap, rooms
 from jaxclear.multibody.mechanism import Mechanism, loosened, with_redundancy
 from jaxclear.multibody.state import lay_out
-from jaxclear.multibody.system import longest_arm, prepare, wear_maps
+from jaxclear.multibody.system import longest_arm, prepare, wear_maps, wearing_in
 from jaxclear.multibody.topology import Redundancy
 from jaxclear.native import has_kernels
 from jaxclear.native.compiled import compiled_for_kernels, compiled_quickly
@@ -96,6 +96,11 @@ NEAR_A_CORE = 1 << 26
 LARGEST_ELSEWHERE = 4096
 # Threads of kernels that fill a large GPU some times.
 LARGEST_BY_KERNELS = 1 << 17
+# What no replica of a study refines.
+WITHOUT_CELLS = (
+    "What the size of cells leaves in worn depths is not included; jaxclear.simulate of one sample "
+    "with verify=True tells it."
+)
 
 
 class RunExperiment(AbstractExperiment):
@@ -296,7 +301,7 @@ class RunExperiment(AbstractExperiment):
             early,
             True,
             checked_by(self._load_steps().passed, Checks()).warnings,
-            self.why_integrator,
+            " ".join(filter(None, [self.why_integrator, self._what_cells_leave()])),
             self._limits_of_derivatives(),
         )
 
@@ -310,6 +315,13 @@ class RunExperiment(AbstractExperiment):
             promises = STUDIES if self.unasked else self.integrator.promise
             promise = _promise_of(self.mechanism, promises, response, unit)
         return ResponseInfo(unit, concerns, promise, self.integrator.remedy)
+
+    def _what_cells_leave(self) -> str:
+        """A sentence where depths are read from cells; replicas refine steps alone."""
+        surfaces = [m for j in wearing_in(self.mechanism).values() for m, _ in j.maps().values()]
+        in_cells = any(math.prod(surface.cells) > 1 for surface in surfaces)
+        reads_depths = any(needs_of(f) == "worn depth" for f in self.response.values())
+        return WITHOUT_CELLS if in_cells and reads_depths else ""
 
     def _limits_of_derivatives(self) -> tuple[str, str]:
         modelled = self.integrator.formulation.modelled(self.mechanism)

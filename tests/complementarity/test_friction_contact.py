@@ -190,7 +190,7 @@ def test_without_friction_it_is_the_lcp_of_the_normals():
     assert np.abs(np.minimum(r[:, 0], matrix[::3, ::3] @ r[:, 0] + offset[::3])).max() <= 1e-12
 
 
-@settings(max_examples=4, deadline=None)
+@settings(max_examples=1, deadline=None)
 @given(seed=SEEDS)
 def test_planar_friction_by_sweeps_and_by_pivoting(seed):
     """Unique where coefficients are small beside the coupling of W: there, both agree."""

@@ -20,6 +20,7 @@ from jaxclear.complementarity import (
     ProjectedGaussSeidel,
 )
 from jaxclear.complementarity.joint_friction import OfReaction
+from tests.rigs.cells import slow
 from tests.rigs.guide_by_hand import friction_problem
 from tests.rigs.lemke import lemke
 
@@ -62,7 +63,7 @@ def falling_slider(friction):
 @pytest.mark.filterwarnings("ignore:jaxclear runs a time loop through XLA:RuntimeWarning")
 @pytest.mark.parametrize(
     "mu",
-    [None, pytest.param(0.2, marks=pytest.mark.slow)],  # XLA is long at written-out Newton steps
+    [None, *slow(0.2)],  # XLA is long at written-out Newton steps
 )
 def test_percussions_of_a_falling_slider(monkeypatch, mu):
     """Percussions of a stiff body at four corners need not be unique; what they do to it is."""

@@ -14,6 +14,7 @@ import jaxclear as jc
 from jaxclear.components.cylinder_map import CylinderMap
 from jaxclear.components.sphere_map import SphereMap
 from tests.mesh.test_worn_parts import mechanism as worn_parts
+from tests.rigs.cells import slow
 
 LOAD, SPEED, RADIUS, CLEARANCE, LENGTH = 200.0, 12.0, 10e-3, 0.05e-3, 20e-3
 DURATION, SAVES = 0.5, 51
@@ -143,9 +144,7 @@ def test_worn_balls_are_drawn_and_not_meshed():
 
 PLAY = 0.1e-3
 WALL, SOCKET = CylinderMap((36, 4), 10e-3, 20e-3, PLAY), SphereMap((36, 18), 10e-3, PLAY)
-SINGLE = pytest.mark.parametrize(
-    "wear_map", [pytest.param(WALL, marks=pytest.mark.slow), SOCKET], ids=["wall", "socket"]
-)
+SINGLE = pytest.mark.parametrize("wear_map", [*slow(WALL), SOCKET], ids=["wall", "socket"])
 CASES = 24
 
 

@@ -13,6 +13,7 @@ import pytest
 import jaxclear as jc
 from jaxclear import plot
 from jaxclear.components.wall_map import WallMap
+from tests.rigs.cells import slow
 
 LAW = jc.wear.Archard()
 RATE = float(LAW.wear_coefficient / LAW.hardness)
@@ -100,7 +101,7 @@ def test_a_slider_that_goes_to_and_fro_wears_an_even_trough_and_its_own_face_eve
     assert found.outcome == 0 and (rung != "permanent" or not found.invariants.warnings)
 
 
-@pytest.mark.parametrize("cells", [80, pytest.param(321, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("cells", [80, *slow(321)])
 def test_a_deep_trough_has_the_shape_of_the_face(cells):
     """A way of 2 a that a face of length L wears by V: V / (b (L + 2 a)) deep, a box."""
     walls = WallMap((2, cells), 0.16, 0.0, LENGTH, BREADTH, CLEARANCE, 0.5 * WIDTH)

@@ -12,6 +12,7 @@ from scipy import interpolate
 import jaxclear as jc
 from jaxclear.components.drive import AbstractDrive
 from tests.components.test_ideal_joints import members
+from tests.rigs.cells import slow
 
 TIMES = np.array([0.0, 0.1, 0.25, 0.5, 0.7, 1.0])
 VALUES = np.sin(3 * TIMES)
@@ -24,7 +25,7 @@ REFERENCE = {
 
 
 SLOW = pytest.mark.slow
-INTERPOLATIONS = ["cubic", *(pytest.param(n, marks=SLOW) for n in ("monotone", "linear"))]
+INTERPOLATIONS = ["cubic", *slow("monotone", "linear")]
 
 
 @pytest.mark.parametrize("interpolation", INTERPOLATIONS)
@@ -35,7 +36,7 @@ def test_it_is_scipys_interpolation(interpolation):
 
 
 @pytest.mark.parametrize("interpolation", INTERPOLATIONS)
-@pytest.mark.parametrize("beyond", [pytest.param("held", marks=SLOW), "straight"])
+@pytest.mark.parametrize("beyond", [*slow("held"), "straight"])
 def test_its_integral_is_that_of_its_values(interpolation, beyond):
     """By trapezia on 2e5 pieces, beyond both ends too; these are off by their steps' square."""
     table = jc.TimeTable(TIMES, VALUES, interpolation, beyond=beyond)

@@ -14,6 +14,7 @@ from jaxclear.laws.stiffness import fitted
 from jaxclear.multibody.contact_point import PointState, evaluate
 from jaxclear.multibody.loops import Relative
 from tests.components.test_ideal_joints import members
+from tests.rigs.cells import slow
 
 LAW = jc.contact.CarvalhoMartins(stiffness=1e9, restitution=0.7)
 SLIP = jc.friction.CoulombTanh(mu_kinetic=0.2, transition_speed=1e-3)
@@ -91,11 +92,7 @@ def test_every_clearance_joint_is_tested():
     assert set(joints(None)) == {kind.__name__ for kind in members(AbstractClearance)}
 
 
-@pytest.mark.parametrize(
-    "friction",
-    [pytest.param(None, marks=pytest.mark.slow), SLIP],
-    ids=["frictionless", "friction"],
-)
+@pytest.mark.parametrize("friction", [*slow(None), SLIP], ids=["frictionless", "friction"])
 @pytest.mark.parametrize("name", sorted(joints(None)))
 def test_power_of_the_wrench_is_the_power_of_the_contacts(name, friction):
     joint = joints(friction)[name]

@@ -13,6 +13,7 @@ from jaxclear.components.sphere_map import SphereMap
 from jaxclear.components.wall_map import WallMap
 from jaxclear.ground.numerics import direction_angle
 from jaxclear.native import scan
+from tests.rigs.cells import slow
 
 CLEARANCE = 0.1e-3
 CYLINDER = CylinderMap((12, 5), 10e-3, 20e-3, CLEARANCE)
@@ -145,9 +146,7 @@ def test_areas_add_up():
     np.testing.assert_allclose(SPHERE.areas().sum(), 4 * np.pi * (10e-3) ** 2, rtol=1e-14)
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param("cylinder", marks=SLOW), pytest.param("sphere", marks=SLOW), "walls"]
-)
+@pytest.mark.parametrize("name", [*slow("cylinder"), *slow("sphere"), "walls"])
 def test_deposit_has_finite_derivatives(name):
     """Along all arguments at once: one that is no number makes the sum none."""
     wear_map, events = MAPS[name]

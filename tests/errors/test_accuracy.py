@@ -9,6 +9,7 @@ import jaxclear as jc
 from jaxclear.errors.choice import Chosen
 from jaxclear.simulation import simulate as simulating
 from tests.rigs.accuracy_asked import CASES, share_off, truth
+from tests.rigs.cells import slow_but
 from tests.rigs.loaded_bearing import loaded_bearing
 
 ASKED = 0.01
@@ -26,9 +27,7 @@ def bearing():
     return CASES["loaded bearing"], asked(CASES["loaded bearing"])
 
 
-@pytest.mark.parametrize(
-    "name", [n if n in LIGHT else pytest.param(n, marks=pytest.mark.slow) for n in CASES]
-)
+@pytest.mark.parametrize("name", slow_but(LIGHT, CASES))
 def test_a_run_is_as_accurate_as_was_asked(name, request):
     """Places, mean forces, friction loss and wear; its own replicas say so too."""
     loaded = name == "loaded bearing"

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
+from jaxclear.errors import verification
 from jaxclear.errors.estimates import Verified
 from jaxclear.errors.verification import MOST_STEPS, refine_times, step_taken, thin_run
 from jaxclear.integrators.base import REFERENCE
@@ -59,6 +60,17 @@ def test_a_run_with_replicas_is_the_run_without_them_bit_for_bit(verified, worn)
         same = eqx.tree_at(lambda run: run.verification, one, other.verification)
         for a, b in zip(jax.tree.leaves(same), jax.tree.leaves(other), strict=True):
             np.testing.assert_array_equal(a, b)
+
+
+def test_what_counts_in_gaps_is_asked_of_integrators_that_heed_it(monkeypatch):
+    """Each program that is called costs a run as much as its first steps."""
+    asked, counting = [], verification._counting
+    monkeypatch.setattr(
+        verification, "_counting", lambda *of: asked.append(type(of[0])) or counting(*of)
+    )
+    for steps in (jc.integrator.FixedStep(1e-4), jc.integrator.Adaptive()):
+        jc.simulate(touching_journal(), 1e-3, save=3, integrator=steps, verify=True)
+    assert asked == [jc.integrator.Adaptive]
 
 
 RESPONSES = {
@@ -295,6 +307,15 @@ def test_a_mean_above_its_peak_is_explained():
             Verified((), numbers, lost, None, np.zeros(()), REFERENCE, names, "take shorter")
         )
         assert ("sums over a joint's contacts" in shown) is says
+
+
+def test_a_place_that_is_off_by_the_gap_is_anywhere_in_it():
+    names = (("places in the gap", "gaps", "B", "m"),)
+    for error, says in ((5e-4, True), (1e-5, False)):
+        numbers, none = np.array([[2e-4, error, error / 2e-4, 0.05]]), np.zeros(1, bool)
+        shown = Verified((), numbers, none, None, np.zeros(()), REFERENCE, names, "shorter steps")
+        assert ("anywhere in the gap" in str(shown)) is says
+        assert "in a gap the clearance." in str(shown)
 
 
 def odd():

@@ -8,6 +8,7 @@ import pytest
 
 import jaxclear as jc
 from jaxclear import Scalar, quantity
+from tests.rigs.cells import slow, slow_but
 
 MASS, GRAVITY, STIFFNESS, DAMPING, TIME = 0.2, 9.81, 4e3, 8.0, 0.05
 
@@ -53,7 +54,7 @@ INTEGRATORS = {
 }
 
 
-@pytest.mark.parametrize("rung", INTEGRATORS)
+@pytest.mark.parametrize("rung", slow_but(("fixed", "implicit"), INTEGRATORS))
 def test_a_film_carries_its_journal_and_every_report_contains_it(rung):
     integrator, near = INTEGRATORS[rung]
     run = jc.simulate(journal(), TIME, save=11, balance=True, integrator=integrator, verify=False)
@@ -107,7 +108,7 @@ class Drag(jc.load.AbstractJointLoad):
 TURN, LENGTH = jc.joint.Revolute(), 0.3
 
 
-@pytest.mark.parametrize("loop", [False, True])
+@pytest.mark.parametrize("loop", [*slow(False), True])
 def test_a_drag_in_an_ideal_joint_is_in_its_reaction(loop):
     """Of a joint that the tree carries, or that closes a parallelogram's loop."""
     crank = jc.joint.Revolute(jc.drive.ConstantSpeed(3.0))

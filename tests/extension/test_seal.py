@@ -83,6 +83,7 @@ def test_every_integrator_follows_a_seal_with_a_detent(rung):
     assert abs(run.energy_balance().error).max() < 10 * near * 0.5 * INERTIA * SPEED**2
 
 
+@pytest.mark.slow
 def test_a_batch_and_a_derivative_by_a_number_of_the_seal():
     def end(dry):
         fixed = jc.integrator.FixedStep(1e-4)

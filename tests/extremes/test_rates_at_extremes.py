@@ -12,6 +12,7 @@ from hypothesis import example, given, settings
 from jax.flatten_util import ravel_pytree
 
 from jaxclear.native.compiled import AROUND_A_KERNEL, compiled_quickly
+from tests.rigs.cells import slow
 from tests.rigs.clearance_joints import JOINTS, USUAL, layout, pose, rate
 
 
@@ -128,9 +129,7 @@ LONG = {
 }
 
 
-@pytest.mark.parametrize(
-    "kind", [pytest.param(k, marks=pytest.mark.slow) if k in LONG else k for k in JOINTS]
-)
+@pytest.mark.parametrize("kind", [slow(k)[0] if k in LONG else k for k in JOINTS])
 def test_rate_and_derivatives_are_finite(kind):
     evaluate = compiled(kind)
 

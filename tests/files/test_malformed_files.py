@@ -15,6 +15,7 @@ import jaxclear as jc
 from jaxclear.files.scene import scene_text
 from jaxclear.files.text import DEEPEST, MOST_VALUES, values_of
 from tests.files.test_round_trip import SCENES, asked
+from tests.rigs.cells import slow
 
 # Pieces that break a file, or ask for what is not there.
 PIECES = [
@@ -101,7 +102,7 @@ def run_mutations(folder, count, first=0):
     return found, longest
 
 
-@pytest.mark.parametrize("count", [100, pytest.param(5_000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [100, *slow(5_000)])
 def test_mutated_files_end_in_sentences(count, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     found, longest = run_mutations(tmp_path, count)
@@ -183,7 +184,7 @@ def test_aliases_cannot_blow_up(tmp_path):
     assert time.process_time() - begun < 1.0
 
 
-@pytest.mark.parametrize("values", ["0", '"ab"', "{}", '"k": [1]', '"k\\",[": 1'])
+@pytest.mark.parametrize("values", ["0", *slow('"ab"', "{}", '"k": [1]'), '"k\\",[": 1'])
 def test_values_of_json_are_counted_before_they_are_read(values, tmp_path):
     """Millions of values in 31 MB took 160 s and 1.5 GB before they were refused."""
     path, named = tmp_path / "scene.json", ":" in values

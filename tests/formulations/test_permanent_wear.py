@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
+from tests.rigs.cells import slow
 
 LOAD, SPEED, RADIUS, CLEARANCE, LENGTH = 200.0, 12.0, 10e-3, 0.05e-3, 20e-3
 JOURNAL = RADIUS - CLEARANCE
@@ -97,7 +98,7 @@ def test_the_first_depth_is_that_of_hertz_pressure_over_the_width_of_the_contact
     assert float(found.worn_depth("B", "bearing").max()) == pytest.approx(wanted, rel=0.08)
 
 
-@pytest.mark.parametrize("outer", ["ground", pytest.param("rotor", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("outer", ["ground", *slow("rotor")])
 def test_a_journal_slides_as_its_centre_goes_round_too(outer):
     """A journal that turns slides at its own radius, one in a bearing that turns at the bearing's:
     V = k F r w t / H; here the clearance is a tenth of the radius."""

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
+from tests.rigs.cells import slow
 
 MASS = 2.0
 STEPS = {
@@ -67,9 +68,7 @@ def test_what_a_clutch_takes_from_a_shaft_is_the_impulse_of_its_signal(kind):
     np.testing.assert_allclose(last(run, "speed", "slide"), 5.0 - 2 * 3.0 / np.pi / MASS, rtol=2e-4)
 
 
-@pytest.mark.parametrize(
-    "kind", ["permanent", *(pytest.param(n, marks=pytest.mark.slow) for n in ("adaptive", "rigid"))]
-)
+@pytest.mark.parametrize("kind", ["permanent", *slow("adaptive", "rigid")])
 def test_derivatives_go_by_the_friction_of_a_clutch(kind):
     """Of Adaptive through a bristle that it resolves; through a stiffer one, as by default, they
     are that or nan."""
@@ -122,7 +121,7 @@ def test_a_brake_takes_its_share_of_the_force_that_presses_it(kind):
     np.testing.assert_allclose(last(run, "speed", "axle"), 40.0 - taken, rtol=2e-4)
 
 
-@pytest.mark.parametrize("kind", [pytest.param("adaptive", marks=pytest.mark.slow), "rigid"])
+@pytest.mark.parametrize("kind", [*slow("adaptive"), "rigid"])
 def test_derivatives_go_by_the_factor_of_what_presses(kind):
     def end(factor):
         where = lambda own: own.loads["brake"].torque.factor
@@ -136,7 +135,7 @@ def test_derivatives_go_by_the_factor_of_what_presses(kind):
     np.testing.assert_allclose(slope, -2 * STIFFNESS * START / 20 / INERTIA, rtol=1e-3)
 
 
-@pytest.mark.parametrize("kind", ["adaptive", pytest.param("permanent", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("kind", ["adaptive", *slow("permanent")])
 def test_a_coupling_that_is_a_force_presses_as_a_load_does(kind):
     """A rope of the spring's stiffness, taut throughout, in the spring's place."""
     rope = jc.coupling.Rope(("pad",), (1.0,), stiffness=STIFFNESS, pretension=20.0)

@@ -12,6 +12,7 @@ import pytest
 
 import jaxclear as jc
 from jaxclear.laws.rebound import damping_ratio_of, restitution_of
+from tests.rigs.cells import slow
 
 MASS, SPEED, GRAVITY = 2.0, 1.5, 10.0
 RIGID = jc.integrator.MoreauJean(1e-4)
@@ -72,8 +73,7 @@ def test_what_runs_into_a_stop_without_restitution_in_permanent_contact_stays_th
     [
         (RIGID, 1e12),
         (PERMANENT, 1e5),
-        pytest.param(RIGID, 1e5, marks=SLOW),
-        pytest.param(PERMANENT, 1e12, marks=SLOW),
+        *slow((RIGID, 1e5), (PERMANENT, 1e12)),
     ],
 )
 def test_a_stiff_stop_is_rigid_where_steps_do_not_follow_its_spring(integrator, stiffness):
@@ -123,8 +123,7 @@ def unfolding_arm(share):
     "integrator",
     [
         jc.integrator.ImplicitStep(1e-4),
-        pytest.param(jc.integrator.Adaptive(), marks=SLOW),
-        pytest.param(jc.integrator.FixedStep(1e-4), marks=SLOW),
+        *slow(jc.integrator.Adaptive(), jc.integrator.FixedStep(1e-4)),
     ],
     ids=["implicit", "adaptive", "fixed"],
 )
@@ -200,7 +199,7 @@ HOLDING = {
 }
 
 
-@pytest.mark.parametrize("kind", ["compliant", "rigid", pytest.param("permanent", marks=SLOW)])
+@pytest.mark.parametrize("kind", ["compliant", "rigid", *slow("permanent")])
 def test_friction_holds_under_a_ramp_and_breaks_away_at_its_torque(kind):
     """5 N of friction under 2 t N: at rest up to 2.5 s, then m q'' = 2 t - 5."""
     integrator, accuracy = HOLDING[kind]
@@ -342,9 +341,7 @@ REVERSING = {
 }
 
 
-@pytest.mark.parametrize(
-    "kind", ["permanent", *(pytest.param(n, marks=SLOW) for n in ("compliant", "rigid"))]
-)
+@pytest.mark.parametrize("kind", ["permanent", *slow("compliant", "rigid")])
 def test_reversal_value_of_a_load_held_by_friction_is_play_and_wind_up(kind):
     """2 b + 2 t / k, with a servo that sees the motor."""
     integrator, _, accuracy = REVERSING[kind]
@@ -540,8 +537,7 @@ DRY = jc.load.JointFriction("G", 30.0)
         (SPRINGY, jc.integrator.ImplicitStep(1e-3)),
         (DRY, jc.integrator.MoreauJean(1e-3)),
         (DRY, jc.integrator.NonColliding(1e-3)),
-        pytest.param(SPRINGY, jc.integrator.Adaptive(), marks=SLOW),
-        pytest.param(DRY, jc.integrator.Adaptive(), marks=SLOW),
+        *slow((SPRINGY, jc.integrator.Adaptive()), (DRY, jc.integrator.Adaptive())),
     ],
 )
 def test_a_run_may_begin_in_a_dead_centre_where_nothing_moves_along_the_coordinate(

@@ -72,7 +72,7 @@ def test_what_is_long_has_a_line_for_each_part():
     first, contact, friction = str(bearing).splitlines()
     assert first.startswith("clearance.PlanarJournalBearing bearing_radius ")
     assert "clearance 0.0002 m" in first
-    assert "stiffness 1e+09 N/m^exponent" in contact and "restitution 0.9" in contact
+    assert "stiffness 1e+09 N/m^1.5" in contact and "restitution 0.9" in contact
     assert friction.strip().startswith("friction Ambrosio(mu_kinetic 0.03, ")
 
 

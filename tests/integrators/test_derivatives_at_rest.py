@@ -9,6 +9,7 @@ import pytest
 from scipy.linalg import expm
 
 import jaxclear as jc
+from tests.rigs.cells import slow_but
 
 LOAD = 10.0
 DAMPING = 20.0
@@ -67,7 +68,7 @@ RUNGS = {
     "permanent": jc.integrator.NonColliding,
 }
 FAST = "rk4", "rigid"
-EACH = [name if name in FAST else pytest.param(name, marks=pytest.mark.slow) for name in RUNGS]
+EACH = slow_but(FAST, RUNGS)
 
 
 @pytest.mark.parametrize("name", EACH)

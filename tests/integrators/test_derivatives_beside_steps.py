@@ -26,6 +26,7 @@ from tests.integrators.test_derivatives_through_touches import (
     problem,
     start_speed,
 )
+from tests.rigs.cells import slow
 
 # Without numerical damping of contacts, which takes a run off its motion.
 LOSSLESS = jc.integrator.ImplicitStep(2e-5, rebound=1.0)
@@ -67,7 +68,7 @@ def test_a_lossless_bounce_has_the_derivatives_of_its_closed_form():
         assert "3 % of the narrowest gap" in jc.explain_nan(slopes(step, 0.95))
 
 
-@pytest.mark.parametrize("method", [pytest.param("heun", marks=pytest.mark.slow), "semi_implicit"])
+@pytest.mark.parametrize("method", [*slow("heun"), "semi_implicit"])
 def test_explicit_steps_of_low_order_have_the_derivatives_of_its_closed_form(method):
     """Their own, through the bounce, are 8 % off and more; and none where runs are off it."""
     end = 0.03

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
+from tests.rigs.cells import slow_but
 
-SLOW = pytest.mark.slow
 # A slide comes to rest, is held under a ramp that begins then, and breaks away.
 MASS, FRICTION, SPEED, RAMP, BEGIN, END = 1.0, 2.0, 0.2, 10.0, 0.15, 0.5
 # By steps, what a slope may be off: rigid ones take the instants of rest late by up to a step.
@@ -24,9 +24,7 @@ STEPS = {
 }
 
 
-@pytest.mark.parametrize(
-    "kind", [kind if kind == "adaptive" else pytest.param(kind, marks=SLOW) for kind in STEPS]
-)
+@pytest.mark.parametrize("kind", slow_but(["adaptive"], STEPS))
 def test_friction_that_holds_and_breaks_away_has_the_derivatives_of_its_closed_form(kind):
     """q = m v^2 / 2 T + k (t - t_T)^3 / 6 m, the ramp being as large as T at t_T."""
     integrator, within = STEPS[kind]

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
+from tests.rigs.cells import slow_but
 
 GRAVITY = 9.81
 DOWN = {"gravity": jc.load.Gravity((0.0, -GRAVITY))}
@@ -122,9 +123,7 @@ def start_speed(rig):
 USUAL = ("Flores",)
 
 
-@pytest.mark.parametrize(
-    "law", [law if law in USUAL else pytest.param(law, marks=pytest.mark.slow) for law in LAWS]
-)
+@pytest.mark.parametrize("law", slow_but(USUAL, LAWS))
 def test_bounces_of_every_law_have_the_derivatives_of_the_motion(law):
     """By clearance, start speed and numbers of the law, through one to six bounces. Laws whose
     clamp bends the force are resolved by steps to a per cent, the others to 1e-3."""

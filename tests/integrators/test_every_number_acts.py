@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
+from tests.rigs.cells import slow_but
 
 STEPS = {
     "Adaptive": jc.integrator.Adaptive(),
@@ -82,7 +83,7 @@ def test_every_load_is_looked_at():
     assert finals == {type(load).__name__ for load in LOADS.values()}
 
 
-@pytest.mark.parametrize("name", STEPS)
+@pytest.mark.parametrize("name", slow_but(("Adaptive", "MoreauJean"), STEPS))
 def test_every_number_of_every_load_changes_a_run(name):
     mechanism = rig()
     count = len(jax.tree.leaves(mechanism.loads))

@@ -26,6 +26,7 @@ from jaxclear.multibody.assembly import guess
 from jaxclear.simulation.simulate import run
 from tests.laws.law_family import members
 from tests.laws.test_restitution import returned
+from tests.rigs.cells import slow, slow_but
 
 KVAERNO = diffrax.Kvaerno5(root_finder=optimistix.Newton(rtol=1e-6, atol=1e-8))
 STIFFNESS, MASS, CLEARANCE = 1e9, 0.3, 0.5e-3
@@ -93,10 +94,7 @@ def falls():
     return ends, exact
 
 
-@pytest.mark.parametrize(
-    "method",
-    [m if m in ("rk4", "implicit") else pytest.param(m, marks=pytest.mark.slow) for m in ORDERS],
-)
+@pytest.mark.parametrize("method", slow_but(("implicit",), ORDERS))
 def test_steps_converge_through_an_impact_at_their_order(method, falls):
     """Root of the mean square over the starts, because where in a step a touch falls is chance."""
     ends, exact = falls
@@ -136,12 +134,10 @@ RUNGS = {
 }
 
 
-FAST = "Adaptive", "ImplicitStep"
+FAST = ("ImplicitStep",)
 
 
-@pytest.mark.parametrize(
-    "rung", [pytest.param(n, marks=() if n in FAST else pytest.mark.slow) for n in RUNGS]
-)
+@pytest.mark.parametrize("rung", slow_but(FAST, RUNGS))
 def test_restitution_is_the_law_s_within_a_thousandth(rung):
     """0.01 to 10 m/s, every law with a memory at two restitutions, at the defaults of its rung (an
     implicit step is told to resolve the impact). Ten m/s cross the clearance in 50 us: a state that
@@ -302,9 +298,7 @@ def test_a_step_ends_at_a_touch_though_another_contact_parts_at_its_end():
     assert not keep and float(stop) == pytest.approx(0.4, abs=1e-5)
 
 
-@pytest.mark.parametrize(
-    "plain", [False, pytest.param(True, marks=pytest.mark.slow)], ids=["kernel", "plain loops"]
-)
+@pytest.mark.parametrize("plain", [False, *slow(True)], ids=["kernel", "plain loops"])
 def test_a_grazing_touch_is_not_stepped_over(plain, monkeypatch):
     """A ball thrown up whose path just meets the wall above: a parabola, which error control would
     cross in one step, wherever that is to end. It loses what the law takes at the speed of the

@@ -188,6 +188,7 @@ def test_a_journal_bouncing_in_its_bearing_never_gains_energy(restitution):
     )
 
 
+@pytest.mark.slow
 def test_a_turning_journal_with_weight_loses_energy():
     """Speeds are of body axes, which turn: within a step of an impact the energy errs by step x
     spin x m v^2.

@@ -13,6 +13,7 @@ from scipy.integrate import quad
 
 import jaxclear as jc
 from jaxclear.laws.stiffness import fitted
+from tests.rigs.cells import slow
 
 PATH = Path(__file__).parents[1] / "refdata" / "journal_films.json"
 STRIBECK = json.loads(PATH.read_text())["stribeck"]
@@ -115,9 +116,7 @@ RUNGS = {
 }
 
 
-@pytest.mark.parametrize(
-    "rung", ["implicit", *(pytest.param(n, marks=pytest.mark.slow) for n in ("fixed", "adaptive"))]
-)
+@pytest.mark.parametrize("rung", ["implicit", *slow("fixed", "adaptive")])
 def test_a_journal_rests_on_its_film_and_its_asperities(rung):
     """At 5 rad/s, by friction of the contact on the asperities' load alone."""
     integrator, mass = RUNGS[rung]

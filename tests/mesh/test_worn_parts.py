@@ -8,6 +8,7 @@ import pytest
 
 import jaxclear as jc
 from jaxclear.mesh.block_mesh import BlockMesh, join_blocks
+from tests.rigs.cells import slow_but
 
 THICKNESS = 4e-3
 WEAR = jc.wear.Archard(wear_coefficient=1e-4, hardness=2e9)
@@ -79,7 +80,7 @@ def patterns():
     return shapes
 
 
-@pytest.mark.parametrize("surface", ids)
+@pytest.mark.parametrize("surface", slow_but(["socket"], ids))
 def test_no_cell_is_inverted_at_twice_the_first_layer(solids, surface):
     solid = solids[surface]
     least = jax.jit(jax.vmap(lambda depth: solid.worn(depth).scaled_jacobians().min()))

@@ -9,6 +9,7 @@ import pytest
 import jaxclear as jc
 from jaxclear.integrators import Outcome
 from tests.rigs.assembly_modes import PLANAR, rssr, triad, wrapped
+from tests.rigs.cells import slow
 
 MET = 1e-6
 STEP = jc.integrator.FixedStep(1e-3)
@@ -94,7 +95,7 @@ def test_exact_guesses_are_met_or_it_is_said():
 SLOW = pytest.mark.slow
 
 
-@pytest.mark.parametrize("name", ["four-bar", pytest.param("3-RRR, platform held", marks=SLOW)])
+@pytest.mark.parametrize("name", ["four-bar", *slow("3-RRR, platform held")])
 def test_a_rough_guess_leads_to_the_nearest_mode_or_to_words(name):
     """Nearest in the joints' angles; where the second is less than twice as far it is said, with
     both distances."""
@@ -153,7 +154,7 @@ def test_a_spatial_four_bar_has_two_modes_with_its_idle_freedom():
     assert np.all(listed.sign == 0)
 
 
-@pytest.mark.parametrize("kind", [pytest.param("rocker", marks=SLOW), "coupler"])
+@pytest.mark.parametrize("kind", [*slow("rocker"), "coupler"])
 def test_an_exact_guess_in_space_is_met_and_leaves_the_idle_freedom_where_it_is_guessed(kind):
     rng = np.random.default_rng(8)
     for _ in range(4):

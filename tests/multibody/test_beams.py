@@ -11,6 +11,7 @@ import pytest
 
 import jaxclear as jc
 from jaxclear import plot
+from tests.rigs.cells import slow
 
 LENGTH, DIAMETER, MODULUS, DENSITY = 1.0, 0.02, 200e9, 7850.0
 STEEL = jc.Material(MODULUS, 0.3)
@@ -117,10 +118,7 @@ def test_a_column_under_half_of_its_buckling_load():
     assert away[1] + (away[1] - away[0]) / 3 == pytest.approx(exact, rel=3e-3)
 
 
-@pytest.mark.parametrize(
-    "held",
-    ["clamped", *(pytest.param(own, marks=pytest.mark.slow) for own in ("pinned", "free"))],
-)
+@pytest.mark.parametrize("held", ["clamped", *slow("pinned", "free")])
 def test_first_frequency(held):
     # Roots of cos(x) cosh(x) = -1, sin(x) = 0 and cos(x) cosh(x) = 1: Euler-Bernoulli beams.
     root = {"clamped": 1.8751040687, "pinned": np.pi, "free": 4.7300407449}[held]
@@ -267,7 +265,8 @@ def test_parts_are_exchanged_around_a_beam_and_it_itself():
     assert sum(along) + warm.loads["tip"].marker.at[0] == pytest.approx(1.001 * LENGTH, rel=1e-12)
 
 
-@pytest.mark.parametrize("loose", [False, pytest.param(True, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("loose", [False, *slow(True)])
 def test_beams_start_straight_where_loops_let_them(loose):
     base = jc.scenes.slider_crank("planar", 2e-4, crank_speed=150.0)
     turned, crank, rod = 1.0, 0.05, 0.12

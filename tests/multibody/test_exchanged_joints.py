@@ -9,6 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import jaxclear as jc
+from tests.rigs.cells import slow
 
 STEEL = jc.contact.LankaraniNikravesh(stiffness=1e9, restitution=0.9)
 PLANAR = jc.clearance.PlanarJournalBearing(STEEL, clearance=1e-4)
@@ -91,9 +92,7 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize(
-    "kind", ["Spherical", "Planar", pytest.param("Free", marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize("kind", ["Spherical", *slow("Planar", "Free")])
 def test_a_joint_whose_child_is_the_ground_begins_as_its_child_is_told(kind):
     (joint, start, speeds), (turn, place, velocity, spin) = CASES[kind]
     rig = jc.Mechanism(

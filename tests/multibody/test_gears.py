@@ -14,6 +14,7 @@ from jaxclear.components.coupling import AbstractBodyCoupling
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.pose import Pose
 from jaxclear.multibody.meshes import Count, Mesh
+from tests.rigs.cells import slow, slow_but
 from tests.rigs.planetary import PLANET, RING, SUN, planetary_accelerations
 from tests.rigs.planetary import planetary as tied
 
@@ -65,10 +66,10 @@ def assert_bearing_carries(run, pressure_angle):
 
 
 SLOW = pytest.mark.slow
-SHORT = ("involutes", "crossed")  # the others differ from these by a sign or a radius
+SHORT = ("involutes",)  # the others differ from this by a sign or a radius
 
 
-@pytest.mark.parametrize("name", [pytest.param(n, marks=() if n in SHORT else SLOW) for n in PAIRS])
+@pytest.mark.parametrize("name", slow_but(SHORT, PAIRS))
 def test_wheels_turn_by_their_ratio(name):
     coupling, distance, share = PAIRS[name]
     run = jc.simulate(pair(coupling, distance), 0.4, save=5, balance=True, integrator=STEPS)
@@ -88,7 +89,7 @@ def test_wheels_turn_by_their_ratio(name):
         assert_bearing_carries(run, TEETH)
 
 
-@pytest.mark.parametrize("turned_round", [False, pytest.param(True, marks=SLOW)])
+@pytest.mark.parametrize("turned_round", [False, *slow(True)])
 def test_axes_that_point_opposite_ways_mesh_alike(turned_round):
     gear = jc.coupling.Gear("A", "B", RATIO, pressure_angle=-TEETH)
     rig = pair(gear, axes=("z", "-z"), turned_round=turned_round)
@@ -108,7 +109,7 @@ def planetary(teeth=None):
     return tied({"inner": inner, "outer": outer})
 
 
-@pytest.mark.parametrize("teeth", [pytest.param(None, marks=SLOW), TEETH])
+@pytest.mark.parametrize("teeth", [*slow(None), TEETH])
 def test_a_planetary_set_turns_as_willis_says(teeth):
     run = jc.simulate(planetary(teeth=teeth), 0.3, save=4, balance=True, integrator=STEPS)
     turns = 0.5 * planetary_accelerations()[:, None] * np.asarray(run.time) ** 2
@@ -172,7 +173,7 @@ def press(lead=0.005):
     )
 
 
-@pytest.mark.parametrize("lead", [0.005, pytest.param(-0.02, marks=SLOW)])
+@pytest.mark.parametrize("lead", [0.005, *slow(-0.02)])
 def test_a_screw_press_falls_as_its_formula(lead):
     run = jc.simulate(press(lead), 0.5, save=6, balance=True, integrator=STEPS)
     # the nut turns by minus the spindle's turn on it
@@ -193,7 +194,7 @@ JOURNAL = jc.clearance.PlanarJournalBearing(
 )
 
 
-@pytest.mark.parametrize("loose", ["B", pytest.param("AB", marks=SLOW)])
+@pytest.mark.parametrize("loose", ["B", *slow("AB")])
 def test_a_bearing_with_clearance_feels_the_teeth(loose):
     """The journal goes to the wall where the force presses it, and wheels roll on the teeth."""
     gear = jc.coupling.Gear("A", "B", RATIO, pressure_angle=-TEETH)
@@ -323,6 +324,7 @@ def test_a_rack_counts_the_turns_that_its_pinion_starts_with(turns):
     np.testing.assert_allclose(jc.assemble(rig).coordinates, [turns, 0.02 * turns], rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_ways_to_assemble_keep_couplings():
     rig, turned = pair(jc.coupling.Gear("A", "B", RATIO)), (0.3, -0.3 / RATIO)
     guess = dict(zip("AB", turned, strict=True))

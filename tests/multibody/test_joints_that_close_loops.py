@@ -174,6 +174,7 @@ def screw_press(pitch):
     )
 
 
+@pytest.mark.slow
 def test_a_screw_that_closes_a_loop_presses_as_its_formula():
     pitch = 0.01
     rig = screw_press(pitch)

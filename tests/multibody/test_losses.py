@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
+from tests.rigs.cells import slow
 
 TURN = jc.joint.Revolute()
 RATIO, ETA, BACK = 20.0, 0.8, 0.6
@@ -56,7 +57,7 @@ def test_a_gear_that_locks_itself_holds_without_creep():
     np.testing.assert_allclose(place[2], place[1], atol=1e-9)
 
 
-@pytest.mark.parametrize("turned_round", [pytest.param(False, marks=pytest.mark.slow), True])
+@pytest.mark.parametrize("turned_round", [*slow(False), True])
 def test_a_pair_of_wheels_loses_its_share(turned_round):
     ends = [jc.Marker("ground"), jc.Marker("a")]
     gear = jc.coupling.Gear("A", "B", 3.0, stiffness=500.0, damping=3.0, efficiency=ETA)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
+from tests.rigs.cells import slow
 
 SMOOTH = jc.friction.CoulombTanh(mu_kinetic=0.2, transition_speed=1e-2)
 WEARS = jc.Wearing(jc.wear.Archard(wear_coefficient=1e-3, hardness=1e9), cells=(8, 1))
@@ -92,12 +93,6 @@ EXPLICIT, IMPLICIT = jc.integrator.FixedStep(2e-5), jc.integrator.ImplicitStep(1
 ADAPTIVE, RIGID = jc.integrator.Adaptive(), jc.integrator.MoreauJean(1e-4)
 GAPS = {"joints": [_loose(1e-4), _loose(2e-4)]}
 FILM = {"joints": [_loose(5e-5, jc.film.ShortHalfFilm(viscosity=0.1)), _loose(2e-4)]}
-FILMS = {
-    "joints": [
-        _loose(5e-5, jc.film.ShortHalfFilm(viscosity=0.1)),
-        _loose(9e-5, jc.film.ShortHalfFilm(viscosity=0.05)),
-    ]
-}
 RUBBING = {
     "joints": [
         jc.joint.PlainBearing(SMOOTH, radius=r, length=0.02, wear=WEARS) for r in (0.01, 0.03)
@@ -108,24 +103,20 @@ MIXED = {
 }
 CASES = {
     "gaps, implicit": (GAPS, IMPLICIT),
-    "gaps, rigid": (GAPS, RIGID),
-    "film and gap": (FILM, IMPLICIT),
-    "servos": ({"loads": _servos}, EXPLICIT),
     "gears": ({"couplings": _gears}, IMPLICIT),
 }
 SLOW = {
+    "gaps, rigid": (GAPS, RIGID),
+    "film and gap": (FILM, IMPLICIT),
+    "servos": ({"loads": _servos}, EXPLICIT),
     "gaps, explicit": (GAPS, EXPLICIT),
     "gaps, adaptive": (GAPS, ADAPTIVE),
-    "films": (FILMS, IMPLICIT),
     "rubbing": (RUBBING, IMPLICIT),
     "rubbing, rigid": (RUBBING, RIGID),
     "mixed": (MIXED, IMPLICIT),
-    "mixed, explicit": (MIXED, EXPLICIT),
     "stops": ({"loads": _stops}, IMPLICIT),
-    "stops, adaptive": ({"loads": _stops}, ADAPTIVE),
     "rigid stops": ({"loads": _rigid_stops}, RIGID),
     "dry": ({"loads": _dry}, ADAPTIVE),
-    "gears, adaptive": ({"couplings": _gears}, ADAPTIVE),
 }
 
 
@@ -154,9 +145,7 @@ def _numbers(case, names):
     return _numbers_by_place(run, names)
 
 
-@pytest.mark.parametrize(
-    "case", [*CASES, *(pytest.param(case, marks=pytest.mark.slow) for case in SLOW)]
-)
+@pytest.mark.parametrize("case", [*CASES, *slow(*SLOW)])
 def test_names_do_not_matter(case):
     one, other = (_numbers(case, names) for names in (("a", "b"), ("b", "a")))
     assert one.keys() == other.keys()

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
+from tests.rigs.cells import slow
 
 TURN, SLIDE = jc.joint.Revolute(), jc.joint.Prismatic()
 RADIUS, MASS, SLOPE, GRAVITY = 0.1, 3.0, 0.4, 9.81
@@ -36,7 +37,7 @@ def rolling(below=RADIUS, turned_round=False, **how):
 SLOW = pytest.mark.slow
 
 
-@pytest.mark.parametrize("turned_round", [pytest.param(False, marks=SLOW), True])
+@pytest.mark.parametrize("turned_round", [*slow(False), True])
 def test_a_cylinder_rolls_down_a_slope_by_two_thirds_of_what_a_slide_does(turned_round):
     # Several turns: a = 2/3 g sin(slope), and the wheel turns by -x / r on a road below it.
     run = jc.simulate(rolling(turned_round=turned_round), 1.5, save=3, integrator=STEPS)

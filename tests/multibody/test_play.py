@@ -11,6 +11,7 @@ import pytest
 
 import jaxclear as jc
 from jaxclear import Scalar, quantity
+from tests.rigs.cells import slow
 
 REFERENCE = json.loads(
     (Path(__file__).parents[1] / "refdata/play_between_two_masses.json").read_text()
@@ -250,7 +251,7 @@ def test_what_is_stiff_moves_as_what_is_rigid(coupling, ratio):
     assert off[1] < 0.2 * off[0] < 1e-3
 
 
-@pytest.mark.parametrize("law", [pytest.param(jc.flank.Nordin, marks=SLOW), jc.flank.Stop])
+@pytest.mark.parametrize("law", [*slow(jc.flank.Nordin), jc.flank.Stop])
 def test_no_shaft_is_too_stiff_for_implicit_steps(law):
     """The step is 300 times as long as the shaft's vibration; places are off by no more than the
     play."""
@@ -450,6 +451,7 @@ def test_a_rotor_is_no_body_of_the_answers():
     np.testing.assert_allclose(float(row.split("]")[1].split()[0]), farthest, rtol=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.verified
 def test_the_peak_of_a_flank_is_that_of_all_steps_in_its_unit():
     """A wheel of inertia J that meets a flank of stiffness k at a speed w presses by w sqrt(k J) at

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
+from tests.rigs.cells import slow
 
 J, KP, KD = 0.5, 200.0, 8.0
 FINE = jc.integrator.FixedStep(1e-3, method="rk4")
@@ -128,7 +129,7 @@ def test_a_sampled_servo_is_that_of_the_z_domain(delay, ki):
     np.testing.assert_allclose(np.asarray(run.coordinate("A"))[at], wanted, atol=1e-11)
 
 
-@pytest.mark.parametrize("period", [pytest.param(None, marks=pytest.mark.slow), 0.01])
+@pytest.mark.parametrize("period", [*slow(None), 0.01])
 def test_derivatives_pass_through_a_servo(period):
     def place(kp):
         servo = jc.load.Servo("A", 0.3, kp, kd=KD, period=period)
@@ -150,7 +151,7 @@ def geared(servo, torque=None, **given):
     return arm(servo, torque=torque, couplings={"gear": gear}, **given)
 
 
-@pytest.mark.parametrize("encoder", [pytest.param("motor", marks=pytest.mark.slow), "load", None])
+@pytest.mark.parametrize("encoder", [*slow("motor"), "load", None])
 def test_what_the_encoder_sees_goes_to_its_place(encoder):
     load = -12.0
     servo = jc.load.Servo("A", 0.3, 400.0, ki=900.0, kd=25.0, encoder=encoder, torque_limit=90.0)

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
+from tests.rigs.cells import slow, slow_but
 
 MU, WRAP, GRAVITY = 0.25, np.pi, 9.81
 GRIP = np.exp(MU * WRAP)
-SLOW = pytest.mark.slow
 STEPS = {
     "adaptive": jc.integrator.Adaptive(),
     "fixed": jc.integrator.FixedStep(2e-4),
@@ -53,9 +53,7 @@ def fallen(rig, integrator, duration=0.5):
     return places[0] - places[-1]
 
 
-@pytest.mark.parametrize(
-    "kind", [pytest.param(n, marks=() if n in ("adaptive", "rigid") else SLOW) for n in STEPS]
-)
+@pytest.mark.parametrize("kind", slow_but(("adaptive", "rigid"), STEPS))
 def test_a_weight_falls_by_what_the_pulley_does_not_hold(kind):
     """a = g (m - e^(mu theta) m') / (m + e^(mu theta) m')."""
     heavy = 4.0
@@ -63,9 +61,7 @@ def test_a_weight_falls_by_what_the_pulley_does_not_hold(kind):
     assert abs(float(fallen(hung(heavy), STEPS[kind])) / (0.5 * a * 0.25) - 1) < 5e-3
 
 
-@pytest.mark.parametrize(
-    "kind", ["rigid", pytest.param("adaptive", marks=SLOW), pytest.param("permanent", marks=SLOW)]
-)
+@pytest.mark.parametrize("kind", ["rigid", *slow("adaptive"), *slow("permanent")])
 def test_a_weight_that_is_light_enough_hangs(kind):
     rig = hung(0.95 * GRIP)
     first, last = (float(fallen(rig, STEPS[kind], end)) for end in (0.5, 1.0))
@@ -102,9 +98,7 @@ def winch(speed):
     )
 
 
-@pytest.mark.parametrize(
-    "kind", [pytest.param(n, marks=() if n in ("implicit", "permanent") else SLOW) for n in STEPS]
-)
+@pytest.mark.parametrize("kind", slow_but(("implicit", "permanent"), STEPS))
 def test_a_pulley_drags_its_rope_by_the_capstan_equation_both_ways(kind):
     for speed, more in ((2.0, 20.0 * (GRIP - 1)), (-2.0, -20.0 * (1 - 1 / GRIP))):
         run = jc.simulate(

@@ -12,6 +12,7 @@ import jaxclear as jc
 from jaxclear.ground.factorisation import least_change
 from jaxclear.multibody import assembly
 from jaxclear.multibody.assembly import assemble_arrays
+from tests.rigs.cells import slow, slow_but
 
 ROD = 0.12
 
@@ -230,9 +231,7 @@ QUICK = "surplus of a driven loop", "other branch of a driven loop", "out of rea
 QUICK += ("surplus of speed", "journal out of its bearing", "dead point")
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(n, marks=() if n in QUICK else pytest.mark.slow) for n in REFUSED]
-)
+@pytest.mark.parametrize("name", slow_but(QUICK, REFUSED))
 def test_a_start_that_cannot_be_held_is_refused_by_name(name):
     make, sentence = REFUSED[name]
     with pytest.raises(ValueError, match=sentence):
@@ -427,7 +426,7 @@ def test_where_drives_move_joints_speeds_follow_a_drawn_position():
     np.testing.assert_allclose(jc.assemble(rig).speeds, (-3.0, 3.0), atol=1e-9)
 
 
-@pytest.mark.parametrize("crank", [0.5, pytest.param(-0.7, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("crank", [0.5, *slow(-0.7)])
 def test_superfluous_rows_lead_to_no_other_mode(crank):
     """A planar four-bar of hinges in space closes as one whose loop has only the rows of a plane:
     by the crank's angle, triangles tell where coupler and rocker are (law of cosines)."""

@@ -13,6 +13,7 @@ from jaxclear.multibody import dynamics, kinematics, tree
 from jaxclear.multibody.forces import applied_forces
 from jaxclear.multibody.state import lay_out, unpack_motion
 from jaxclear.multibody.system import prepare
+from tests.rigs.cells import slow
 
 pin = pytest.importorskip("pinocchio")
 
@@ -118,9 +119,7 @@ def subtree_rows(system, mass_blocks):
 
 
 # Every tree compiles anew: two of them always, the others with the long tests.
-@pytest.mark.parametrize(
-    "seed", [*range(2), *(pytest.param(s, marks=pytest.mark.slow) for s in range(2, 12))]
-)
+@pytest.mark.parametrize("seed", [*range(2), *slow(*range(2, 12))])
 def test_random_tree_agrees_with_pinocchio(seed):
     rng = np.random.default_rng(seed)
     rig, model, ids, kinds = random_tree(rng, 6)

@@ -14,7 +14,7 @@ def as_users(optimised_kernels):
 def built(monkeypatch):
     """The loops that become kernels."""
     programs, build = [], loop.kernels.build
-    watched = lambda program, lanes: programs.append(program) or build(program, lanes)
+    watched = lambda program, *rest: programs.append(program) or build(program, *rest)
     monkeypatch.setattr(loop.kernels, "build", watched)
     return programs
 

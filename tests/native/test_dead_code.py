@@ -73,7 +73,6 @@ WAYS = {
 FAST = {
     (swung, "slopes in a batch"),
     (written, "values"),
-    (written, "backwards"),
     (called, "values"),
 }
 

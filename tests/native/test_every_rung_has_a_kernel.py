@@ -23,6 +23,7 @@ from jaxclear.native import kernel
 from jaxclear.native.verdicts import KERNELS
 from jaxclear.native.writer import Unsupported
 from jaxclear.simulation.simulate import check_run, run
+from tests.rigs.cells import slow
 from tests.rigs.clearance_joints import JOINTS, USUAL, build
 
 RUNGS = {
@@ -36,7 +37,7 @@ RUNGS = {
     "non-colliding": jc.integrator.NonColliding(),
 }
 # That a run in the plane has no kernel is an error in every test.
-QUICK = (("ball", "implicit"), ("ball", "Moreau-Jean"), ("journal_that_wears", "fixed"))
+QUICK = [("ball", "implicit"), *slow(("ball", "Moreau-Jean"), ("journal_that_wears", "fixed"))]
 # Rungs whose kernels differ from those above them in operations that no joint takes part in (how
 # coordinates go on) or that all joints share (how a gap shortens a step), and with which joints.
 VARIANTS = {
@@ -71,7 +72,7 @@ def test_a_kernel_can_be_written(joint, rung, monkeypatch):
     if refused(rig, integrator):
         return
 
-    def write(program, lanes):
+    def write(program, lanes, _):
         kernel.text_of(program, lanes)
         written.append(program)
         raise Unsupported("a test")

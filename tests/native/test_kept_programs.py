@@ -65,6 +65,7 @@ def another_process(folder, program=PROGRAM):
     return json.loads(done.stdout.splitlines()[-1])
 
 
+@pytest.mark.slow
 def test_another_process_compiles_nothing_and_gives_the_same_numbers(tmp_path):
     first, second = (another_process(tmp_path) for _ in range(2))
     assert {"jit(_run_differentiable)", "jit(_find_start)"} <= set(first[2])

@@ -15,6 +15,7 @@ from jax.experimental import serialize_executable
 import jaxclear  # noqa: F401  (float64)
 from jaxclear.native import dispatch, kernel, while_loop
 
+pytestmark = pytest.mark.usefixtures("young_garbage")
 PROGRAMS = 30
 
 

@@ -4,6 +4,7 @@ step aside."""
 import logging
 import re
 import warnings
+from pathlib import Path
 
 import diffrax
 import jax
@@ -252,17 +253,39 @@ def test_a_check_looks_at_states_within_and_beyond_a_clearance():
         assert overlaps[1] < 0 < overlaps[2]
 
 
-def test_an_unknown_interface_of_xla_is_refused(monkeypatch, tmp_path):
-    (tmp_path / "xla/ffi/api").mkdir(parents=True)
-    (tmp_path / "xla/ffi/api/c_api.h").write_text("struct XLA_FFI_CallFrame { int other; };")
+@pytest.fixture
+def header_of_xla(monkeypatch, tmp_path):
+    """The header of XLA's foreign function interface, which may be written anew."""
+    text = (Path(jax.ffi.include_dir()) / "xla/ffi/api/c_api.h").read_text()
+    header = tmp_path / "xla/ffi/api/c_api.h"
+    header.parent.mkdir(parents=True)
+    header.write_text(text)
     monkeypatch.setattr(jax.ffi, "include_dir", lambda: str(tmp_path))
     dispatch.interface_version.cache_clear()
-    try:
-        with pytest.raises(Unsupported, match="foreign function interface"):
-            dispatch.interface_version()
-    finally:
-        monkeypatch.undo()
-        dispatch.interface_version.cache_clear()
+    yield header
+    monkeypatch.undo()
+    dispatch.interface_version.cache_clear()
+
+
+def test_an_unknown_interface_of_xla_is_refused(header_of_xla):
+    header_of_xla.write_text("struct XLA_FFI_CallFrame { int other; };")
+    with pytest.raises(Unsupported, match="foreign function interface"):
+        dispatch.interface_version()
+
+
+def test_the_interface_of_xla_is_known_by_the_names_of_jax_0_12(header_of_xla):
+    """Whose header (its minor version 5) calls some structures and functions otherwise, and lays
+    them out alike."""
+    text, version = header_of_xla.read_text(), dispatch.interface_version()
+    for before, now in {
+        "XLA_FFI_Error_GetMessage": "XLA_FFI_Error_GetDetails",
+        "XLA_FFI_Extension_Base": "XLA_FFI_InternalExtension",
+        "XLA_FFI_ExecutionContext": "XLA_FFI_InvokeContext",
+    }.items():
+        text = text.replace(before, now)
+    header_of_xla.write_text(text)
+    dispatch.interface_version.cache_clear()
+    assert dispatch.interface_version() == version
 
 
 def test_the_switch_leaves_loops_to_jax(monkeypatch):
@@ -335,3 +358,38 @@ def test_equations_that_stand_in_a_program_several_times_are_one_in_its_kernel(b
     texts = [kernel.text_of(program, 1) for program in built]
     assert [text.count("call double @tanh") for text in texts] == [1, 1]
     assert np.isfinite(once) and often > once
+
+
+def in_parts(counts, first, resumed):
+    """(turns of the loop around, what the parts add up): so many steps in each part in turn. Where
+    its loop is `resumed`, a turn takes up what the one before has left of a part."""
+
+    def turn(now):
+        turns, part, step, total = now
+        goes_on = lambda inner: inner[0] < counts[part]
+        inner = step, total
+        step, total = while_loop(
+            goes_on,
+            lambda inner: (inner[0] + 1, jnp.sin(inner[1] + 0.3)),
+            inner,
+            resumed=resumed,
+        )
+        done = ~goes_on((step, total))
+        return turns + 1, jnp.where(done, part + 1, part), jnp.where(done, 0, step), total
+
+    none = jnp.zeros((), int)
+    last = while_loop(lambda now: now[1] < len(counts), turn, (none, none, none, first))
+    return last[0], last[3]
+
+
+def test_half_of_the_samples_do_not_wait_for_the_others():
+    """What each of them computes is the same to the last digit."""
+    counts = np.random.default_rng(0).integers(1, 30, (16, 12))
+    first = np.linspace(0.0, 1.0, 16)
+    run = lambda resumed: jax.jit(jax.vmap(lambda c, x: in_parts(c, x, resumed)))(counts, first)
+    (turns, total), (turns_together, total_together) = run(True), run(False)
+    np.testing.assert_array_equal(total, total_together)
+    assert np.all(turns_together == 12) and np.any(turns > 12)
+    alone = jax.jit(lambda c, x: in_parts(c, x, True))(counts[3], first[3])
+    assert int(alone[0]) == 12
+    np.testing.assert_allclose(alone[1], total[3], rtol=1e-15)

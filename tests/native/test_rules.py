@@ -26,6 +26,7 @@ from jaxclear.native import explain, verdict, while_loop
 from jaxclear.native.verdicts import KERNELS
 from jaxclear.native.while_loops import as_kernel
 from jaxclear.native.writer import RULES
+from tests.rigs.cells import slow
 
 # Functions of the C library and XLA's own series differ by a few units in the last place.
 ROUNDING = 1e-13
@@ -350,7 +351,7 @@ def found(group, how):
 
 
 @pytest.mark.parametrize("name", sorted(CASES))
-@pytest.mark.parametrize("how", ["alone", "batch", pytest.param("known", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("how", ["alone", "batch", *slow("known")])
 def test_rule_gives_what_jax_gives(name, how):
     group = next(i for i, names in enumerate(GROUPS) if name in names)
     for turn, values in enumerate(found(group, how)):

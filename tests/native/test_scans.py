@@ -12,6 +12,7 @@ import pytest
 import jaxclear  # noqa: F401  (float64)
 from jaxclear.native import TableLayout, explain, loop, scan, stop, stoppable, verdict, while_loop
 from jaxclear.native.verdicts import KERNELS
+from tests.rigs.cells import slow_but
 
 # Sums of products in another order, beside numbers up to some ten.
 ROUNDING = 1e-11
@@ -84,9 +85,7 @@ def same(found, wanted):
 QUICK = ("values", "of a batch", "slopes in a batch", "as a linear map")
 
 
-@pytest.mark.parametrize(
-    "way", [pytest.param(w, marks=() if w in QUICK else pytest.mark.slow) for w in WAYS]
-)
+@pytest.mark.parametrize("way", slow_but(QUICK, WAYS))
 def test_a_scan_is_that_of_jax_through_one_kernel(way, built):
 
     def told(p):
@@ -184,9 +183,7 @@ def by_jax(turn, first, rows):
     return last, (states, steps[SEEN], knocked[::-1], scaled[SEEN])
 
 
-@pytest.mark.parametrize(
-    "way", [pytest.param(w, marks=() if w == "of a batch" else pytest.mark.slow) for w in WAYS]
-)
+@pytest.mark.parametrize("way", slow_but(["of a batch"], WAYS))
 def test_parts_go_to_their_places(way, monkeypatch):
     kernels = jax.jit(WAYS[way](lambda p: through(by_parts, while_loop, p)))(PLACE)
     wanted = jax.jit(WAYS[way](lambda p: through(by_jax, jax.lax.while_loop, p)))(PLACE)

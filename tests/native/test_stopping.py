@@ -17,6 +17,7 @@ import pytest
 import jaxclear  # noqa: F401  (float64)
 from jaxclear.native import stop, stoppable, while_loop
 from jaxclear.native.stopping import FLAG
+from tests.rigs.cells import slow
 
 # What runs is started warm; then Ctrl-C comes from outside, as from a terminal.
 PROGRAM = """
@@ -79,7 +80,7 @@ def answered(study):
 
 
 @pytest.mark.skipif(os.name == "nt", reason="signals of a terminal")
-@pytest.mark.parametrize("study", [pytest.param("simulate", marks=pytest.mark.slow), "monte_carlo"])
+@pytest.mark.parametrize("study", [*slow("simulate"), "monte_carlo"])
 def test_ctrl_c_is_answered_at_once_and_leaves_the_machine_idle(study):
     for _ in range(3):
         waited, said = answered(study)

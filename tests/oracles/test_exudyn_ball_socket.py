@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
+from tests.rigs.cells import slow_but
 
 REFERENCE = json.loads((Path(__file__).parents[1] / "refdata/exudyn_ball_socket.json").read_text())
 TIMES = np.array(REFERENCE["time"])
@@ -58,10 +59,7 @@ def thrown(contact, friction):
     )
 
 
-@pytest.mark.parametrize(
-    "case",
-    [c if c == "hunt_crossley" else pytest.param(c, marks=pytest.mark.slow) for c in LAWS],
-)
+@pytest.mark.parametrize("case", slow_but(["hunt_crossley"], LAWS))
 def test_thrown_rod_bounces_as_in_exudyn(case):
     reference = REFERENCE["cases"][case]
     mu = jnp.asarray(reference["friction"])

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
+from tests.rigs.cells import slow
 
 CLEARANCES = np.array([4e-4, 2e-4, 1e-4])
 # A constant damper needs no memory; 100 s/m makes every rebound below 1e-2 m/s die within one
@@ -44,9 +45,7 @@ def test_slider_crank_with_clearance_tends_to_the_ideal_one():
     assert (errors < 3 * CLEARANCES).all() and abs(observed_order(errors) - 1) < 0.15
 
 
-@pytest.mark.parametrize(
-    "kind", ["JournalBearing", pytest.param("BallSocket", marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize("kind", ["JournalBearing", *slow("BallSocket")])
 def test_bar_in_a_spatial_joint_with_clearance_tends_to_the_ideal_one(kind):
     law = jc.contact.MarhefkaOrin(**CONTACT)
     if kind == "BallSocket":

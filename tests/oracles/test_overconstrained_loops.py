@@ -13,6 +13,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import jaxclear as jc
+from tests.rigs.cells import slow
 from tests.rigs.overconstrained import APART, COUPLER, CRANK, GRAVITY, LENGTH, parallel_cranks, ring
 
 COUNT, ANGLE = 3, 0.6
@@ -150,7 +151,7 @@ def test_reactions_of_two_cranks_are_unique():
     assert run.mechanism.topology.redundancy is None and run.reaction("top 1").unique
 
 
-@pytest.mark.parametrize("longer", [1e-3, 1e-6])
+@pytest.mark.parametrize("longer", [*slow(1e-3), 1e-6])
 def test_crank_of_another_length_is_refused_by_what_is_missed(longer):
     with pytest.raises(ValueError, match='joint "top 1" cannot be closed') as refused:
         jc.assemble(cranks(longer=longer))

@@ -13,6 +13,7 @@ from scipy.optimize import brentq
 import jaxclear as jc
 from jaxclear.components.cylinder_map import CylinderMap
 from jaxclear.components.sphere_map import SphereMap
+from tests.rigs.cells import slow
 
 RADIUS, LENGTH, CLEARANCE = 10e-3, 20e-3, 0.1e-3
 ALONG_X = (1.0, 0.0)
@@ -205,10 +206,8 @@ def test_depth_of_a_ball_is_the_same_at_any_number_of_saves(way, within):
     assert way == "arc" or max(deepest) < 1.01 * min(deepest)
 
 
-@pytest.mark.parametrize("saves", [1, 24, pytest.param(100, marks=pytest.mark.slow)])
-@pytest.mark.parametrize(
-    "around", [12, *(pytest.param(many, marks=pytest.mark.slow) for many in (72, 200))]
-)
+@pytest.mark.parametrize("saves", [1, 24, *slow(100)])
+@pytest.mark.parametrize("around", [12, *slow(72, 200)])
 def test_a_contact_that_turns_wears_evenly_at_any_resolution(around, saves):
     """Mean directions of a contact that has gone through an arc between two saving times are
     shorter than one: by that the arc is known, and filled."""
@@ -296,10 +295,7 @@ def test_a_ring_that_turns_about_a_loaded_journal_wears_evenly_and_by_archard():
     np.testing.assert_allclose(depth, volume / (2 * math.pi * RADIUS * LENGTH), rtol=0.1)
 
 
-@pytest.mark.parametrize(
-    "cells",
-    [(24, 96), *(pytest.param(own, marks=pytest.mark.slow) for own in ((48, 96), (288, 20)))],
-)
+@pytest.mark.parametrize("cells", [(24, 96), *slow(((48, 96),), ((288, 20),))])
 def test_a_socket_that_turns_about_a_loaded_ball_wears_hertz_contact_drawn_around(cells):
     """What its law presses by d under a load F, (F/K)^(2/3), is a contact of half the width a =
     R sqrt(d/c), whose pressure goes with sqrt(1 - (x^2 + y^2)/a^2). A turn draws it along x around

@@ -372,7 +372,7 @@ CASES = {
     "worst_case": [lambda: plot.worst_case(jc.worst_case(problem(), samples=16))],
 }
 EACH = [
-    pytest.param(case, id=f"{name} {number}")
+    pytest.param(case, id=f"{name} {number}", marks=pytest.mark.slow if number else ())
     for name, own in CASES.items()
     for number, case in enumerate(own)
 ]

@@ -10,6 +10,7 @@ import pytest
 
 import jaxclear as jc
 from jaxclear.results.modes import Mode
+from tests.rigs.cells import slow, slow_but
 from tests.rigs.refusals import refusals
 
 MASS, STIFFNESS, SPEED, CLEARANCE = 1.0, 1e7, 0.1, 1e-4
@@ -38,7 +39,7 @@ def phases(rig, duration, saves):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("saves", [pytest.param(1001, marks=pytest.mark.slow), 51])
+@pytest.mark.parametrize("saves", [*slow(1001), 51])
 def test_instants_of_elastic_impacts(saves):
     """Straight flights of two clearances, and half a swing in the wall."""
     flight = 2 * CLEARANCE / SPEED
@@ -147,9 +148,7 @@ def run_of(integrator, save=3, events=20):
     return jc.simulate(bouncing(), 0.1, save=jc.Saving(save, events), integrator=integrator)
 
 
-@pytest.mark.parametrize(
-    "rung", [pytest.param(n, marks=[] if n == "Adaptive" else pytest.mark.slow) for n in RUNGS]
-)
+@pytest.mark.parametrize("rung", slow_but(["Adaptive"], RUNGS))
 def test_touches_and_releases_are_instants_of_the_run(rung):
     """Three saving times; steps of 5e-6 s and their like, within which Hermite's cubic is exact in
     flight. Each flight is as long as it takes to come back."""

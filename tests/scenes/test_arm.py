@@ -52,6 +52,7 @@ class Parabola(eqx.Module):
         return self.angle + time * (self.speed + 0.5 * time * self.acceleration)
 
 
+@pytest.mark.slow
 def test_torques_along_motions_are_those_of_another_program():
     """Every mass, centre, inertia, place and axis takes part in them."""
     for told in REFERENCE["cases"]:

@@ -67,6 +67,7 @@ def test_the_lever_ratio_decides_who_carries_most(ratio):
     assert mean["J1"] > mean["J2"] and mean["J3"] > mean["J4"]
 
 
+@pytest.mark.slow
 def test_an_impact_shows_in_all_joints_of_a_chain_in_contact(run):
     """The first impact of J4 finds the other three in contact; all jump within 0.1 ms."""
     strike = run.modes("J4").query("mode == 'impact'")["from [s]"].iloc[0]

@@ -297,6 +297,7 @@ def test_energy_balance_closes_with_the_square_of_the_step(driven):
     np.testing.assert_allclose(coarse.input[-1], loss[-1], rtol=1e-3)
 
 
+@pytest.mark.slow
 def test_every_figure_is_drawn_and_named(driven, compliant, instants):
     assert len(guide.impacts(compliant, instants)) == len(instants)
     figures = [

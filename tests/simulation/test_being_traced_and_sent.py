@@ -11,6 +11,7 @@ import pytest
 
 import jaxclear as jc
 from jaxclear.integrators.checks import Outcome
+from tests.rigs.cells import slow_but
 
 STEPS = jc.integrator.FixedStep(2e-5)
 RIG = jc.scenes.slider_crank(wear=False)
@@ -102,7 +103,7 @@ def test_a_traced_run_with_functions_of_time_is_returned_as_any_other(mapped, si
     np.testing.assert_allclose(run.reaction("A").torque[-1, 2], 0.4 - np.sin(0.1), rtol=1e-9)
 
 
-@pytest.mark.parametrize("enclosed", PUSHES)
+@pytest.mark.parametrize("enclosed", slow_but(("a number", "a part"), PUSHES))
 def test_functions_of_time_may_enclose_numbers_that_are_traced(enclosed):
     """A batch, compiled or not, and a slope: of I w'' = M sin(8 t), which M leads."""
 

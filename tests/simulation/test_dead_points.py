@@ -9,6 +9,7 @@ import pytest
 import jaxclear as jc
 from jaxclear.integrators.checks import Outcome
 from tests.rigs import four_bars
+from tests.rigs.cells import slow, slow_but
 
 RUNGS = {
     "adaptive": jc.integrator.Adaptive(),
@@ -37,8 +38,8 @@ def four_bar(crank):
     return four_bars.four_bar(links, 0.3, jc.Body(1.0, 1e-2), drive=drive, guess=guess)
 
 
-@pytest.mark.parametrize("rung", RUNGS)
-@pytest.mark.parametrize("kind", ["slider", pytest.param("four-bar", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("rung", slow_but(["fixed"], RUNGS))
+@pytest.mark.parametrize("kind", ["slider", *slow("four-bar")])
 def test_a_drive_beyond_a_dead_point_ends_the_run_and_says_so(kind, rung):
     rig = driven_slider(0.03) if kind == "slider" else four_bar(0.28)
     run = jc.simulate(rig, 0.3, save=61, integrator=RUNGS[rung], throw=False)
@@ -147,7 +148,7 @@ THROUGH = {
 }
 
 
-@pytest.mark.parametrize("rung", THROUGH)
+@pytest.mark.parametrize("rung", slow_but(["middle"], THROUGH))
 def test_inertia_carries_a_crank_through_its_dead_centres(rung):
     """Beside the closed form, on steps that meet the dead centres exactly and on others."""
     run = jc.simulate(full_stroke(), 1.0, save=101, integrator=THROUGH[rung])

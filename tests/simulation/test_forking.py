@@ -6,6 +6,8 @@ import sys
 
 import pytest
 
+from tests.rigs.cells import slow
+
 PROGRAM = """
 import multiprocessing, sys, warnings
 import jax
@@ -33,9 +35,7 @@ if __name__ == "__main__":
     ("way", "when", "said"),
     [
         ("fork", "after", "this process was forked from one in which JAX had begun to compute"),
-        pytest.param("fork", "before", "ran", marks=pytest.mark.slow),
-        pytest.param("forkserver", "after", "ran", marks=pytest.mark.slow),
-        pytest.param("spawn", "after", "ran", marks=pytest.mark.slow),
+        *slow(("fork", "before", "ran"), ("forkserver", "after", "ran"), ("spawn", "after", "ran")),
     ],
 )
 def test_a_process_says_that_it_was_forked(way, when, said, tmp_path):

@@ -13,6 +13,7 @@ from jaxclear.native import kernel, loop
 from jaxclear.simulation import loop as simulation
 from jaxclear.simulation import wear
 from jaxclear.simulation.saving import saving_times
+from tests.rigs.cells import slow_but
 
 pytestmark = pytest.mark.usefixtures("optimised_kernels")
 RUNGS = {
@@ -43,9 +44,9 @@ def told(rung, saves=jc.Saving(7), scene=jc.scenes.slider_crank):
         figures = {check.name: figure.worst for check, figure in run.invariants.figures.items()}
         return run.states, figures, run.noted, run.accepted_steps, run.ended, run.outcome
 
-    def watched(program, lanes):
+    def watched(program, *rest):
         built.append(program)
-        return build(program, lanes)
+        return build(program, *rest)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(loop.kernels, "build", watched)
@@ -53,9 +54,7 @@ def told(rung, saves=jc.Saving(7), scene=jc.scenes.slider_crank):
     return found, [program for program in built if not program.single_turn]
 
 
-@pytest.mark.parametrize(
-    "rung", [pytest.param(r, marks=() if r in QUICK else pytest.mark.slow) for r in RUNGS]
-)
+@pytest.mark.parametrize("rung", slow_but(QUICK, RUNGS))
 def test_a_run_is_one_kernel_and_keeps_its_numbers(rung, monkeypatch):
     events = 3 if RUNGS[rung].notes_events else 0
     saving = jc.Saving(7, events=events)
@@ -125,7 +124,7 @@ def test_surfaces_wear_within_the_one_kernel(rung, monkeypatch):
     save to save, with every surface worn at every saving time."""
     built, build = [], kernel.build
     monkeypatch.setattr(
-        loop.kernels, "build", lambda program, lanes: built.append(program) or build(program, lanes)
+        loop.kernels, "build", lambda program, *rest: built.append(program) or build(program, *rest)
     )
 
     def told():

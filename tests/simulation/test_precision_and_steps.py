@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
+from tests.rigs.cells import slow_but
 
 RIG = jc.scenes.slider_crank(wear=False)
 STEPS = jc.integrator.FixedStep(1e-5)
@@ -67,7 +68,7 @@ INTEGRATORS = {
 }
 
 
-@pytest.mark.parametrize("name", INTEGRATORS)
+@pytest.mark.parametrize("name", slow_but(("FixedStep", "ImplicitStep"), INTEGRATORS))
 def test_steps_longer_than_the_saving_interval_are_said(name):
     how = {"save": 21, "integrator": INTEGRATORS[name]}
     with pytest.warns(UserWarning, match=r"step=0.0001\) asks .* 5e-05 s: .* 2 times as many"):

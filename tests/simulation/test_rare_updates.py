@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
+from jaxclear.studies.store.batch import evaluate_all
+from tests.rigs.cells import slow
 
 INTEGRATOR, DURATION = jc.integrator.FixedStep(2.5e-5), 0.02
 
@@ -32,7 +34,7 @@ def test_more_updates_than_saving_times_are_those():
         np.testing.assert_array_equal(one, other)
 
 
-@pytest.mark.parametrize("saves", [81, 101])
+@pytest.mark.parametrize("saves", [*slow(81), 101])
 def test_as_many_updates_as_another_run_has_saving_times_wear_like_it(saves):
     """40 in both: each at the first saving time past a 40th of the run. Fixed steps fit the
     intervals of both, so that motions are the same but for what wear changes; the wear law of this
@@ -51,6 +53,7 @@ def test_gaps_see_surfaces_as_they_were_worn_last():
     assert 1 <= len(changes) <= 4
 
 
+@pytest.mark.slow
 def test_replicas_wear_them_more_often_in_proportion():
     """So that the error they tell holds what rare updates change."""
     replica = run(20, 161, verify=True).verification.replicas[0]
@@ -71,6 +74,7 @@ def test_steps_that_are_no_share_of_the_time_between_updates_leave_them_as_rare(
         jc.Wearing(jc.wear.Archard(), updates=0)
 
 
+@pytest.mark.slow
 def test_with_a_progress_bar_a_run_wears_as_without():
     """It is no kernel then, and updates follow the contact's path all the same: with two saving
     times surfaces had worn once, at the end."""
@@ -79,3 +83,24 @@ def test_with_a_progress_bar_a_run_wears_as_without():
         depth(jc.simulate(rig(None), DURATION, progress_bar=bar, **how)) for bar in (True, False)
     )
     np.testing.assert_allclose(shown, wanted, rtol=0, atol=1e-9 * wanted.max())
+
+
+def test_samples_in_a_batch_wear_as_beside_others():
+    """They come to their updates after different numbers of steps, and do not wait for each other:
+    to the last digit the same beside samples that differ as beside those that are alike."""
+    joint = lambda rig: rig.connections["B"].joint
+    problem = jc.Problem(
+        rig(None),
+        {"depth": jc.response.PeakWornDepth("B"), "steps": lambda run: run.accepted_steps},
+        {"clearance": jc.Variable(lambda rig: joint(rig).clearance, tolerance=50e-6)},
+        duration=DURATION,
+        integrator=INTEGRATOR,
+        save=3,
+    )
+    nominal = problem.nominal()[0]
+    different = nominal * np.linspace(0.5, 1.5, 8)[:, None]
+    beside = evaluate_all(problem, different).responses
+    alike = evaluate_all(problem, np.full_like(different, different[2, 0])).responses
+    assert np.ptp(beside["depth"]) > 0
+    for name, values in alike.items():
+        np.testing.assert_array_equal(values, np.full(8, beside[name][2]))

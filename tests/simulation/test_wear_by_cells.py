@@ -15,6 +15,7 @@ from jaxclear.errors.estimates import factor_of_cells, factors_of_cells
 from jaxclear.integrators.checks import Check
 from jaxclear.native import scan
 from jaxclear.simulation.invariants import narrowness
+from tests.rigs.cells import slow
 
 LIMIT = Check.WEAR_BY_CELLS.limit
 LINE = CylinderMap((36, 1), 10e-3, 20e-3, 1e-4)
@@ -119,7 +120,7 @@ MAPS = {
 }
 
 
-@pytest.mark.parametrize("kind", [pytest.param("ball", marks=pytest.mark.slow), "wall", "guide"])
+@pytest.mark.parametrize("kind", [*slow("ball", "wall"), "guide"])
 def test_cells_twice_as_wide_are_those_of_a_map_with_half_as_many(kind):
     fine, coarse = MAPS[kind](2, coarseness=2.0), MAPS[kind](1)
     event, volume = jnp.asarray(PLACES[kind])[None], jnp.asarray([1e-12])
@@ -175,7 +176,7 @@ def lose(surface, volume, event):
     return depth, surface.deepest(depth)
 
 
-@pytest.mark.parametrize("kind", ["line", "ball", "guide"])
+@pytest.mark.parametrize("kind", ["line", *slow("ball", "guide")])
 def test_the_error_of_a_scar_narrower_than_a_cell_is_that_of_its_contact(kind):
     """Hertz's pressure over the contact's own width."""
     depths, worn = [], jax.jit(lose)
@@ -187,7 +188,9 @@ def test_the_error_of_a_scar_narrower_than_a_cell_is_that_of_its_contact(kind):
     factor = factor_of_cells(surface, jnp.asarray(place), depth, 1.0)
     stated = factor * abs(fine - coarse)
     assert fine < 0.5 * true
-    assert (true - fine) / 3.0 < stated < 3.0 * (true - fine)
+    # Of flat faces the contact's end lies anywhere in a cell.
+    least = 1 / 3 if kind == "guide" else 1.0
+    assert least * (true - fine) < stated < 3.0 * (true - fine)
 
 
 def rubbing(cells):

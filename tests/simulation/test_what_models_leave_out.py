@@ -7,6 +7,7 @@ import pytest
 
 import jaxclear as jc
 from jaxclear.integrators.checks import Check
+from tests.rigs.cells import slow
 from tests.rigs.four_bars import four_bar
 from tests.rigs.overconstrained import parallel_cranks
 
@@ -43,9 +44,7 @@ def figure(rig, integrator, check=Check.COULOMB_FRICTION, duration=0.01):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "law", [pytest.param(THREE_ZONES, marks=pytest.mark.slow), jc.friction.Dahl()]
-)
+@pytest.mark.parametrize("law", [*slow(THREE_ZONES), jc.friction.Dahl()])
 @pytest.mark.parametrize("rung", ["permanent", "rigid"])
 def test_a_joint_that_sticks_where_its_law_creeps_or_yields_says_so(rung, law):
     run, share = figure(pressed(law, torque=0.5 * 0.1 * LOAD * RADIUS), STEPS[rung])

@@ -137,6 +137,13 @@ def test_it_is_what_the_problem_itself_chooses():
     assert as_typed(cheapest.integrator) == as_typed(own.integrator)
 
 
+def test_a_trial_is_shown_as_a_sentence(advice):
+    shown = f"{[*advice.trials]}{advice.chosen}"
+    assert "array(" not in shown and "Trial(" not in shown
+    assert str(advice.chosen).startswith(str(advice.sentence()).split(" keeps ")[0])
+    assert " keeps the accuracy: estimated error " in shown
+
+
 def test_the_problem_comes_back_with_the_recommended_integrator(advice):
     assert as_typed(advice.problem.integrator) == as_typed(advice.recommended)
     assert advice.problem.names == advice.original_problem.names

@@ -12,6 +12,7 @@ import pytest
 
 import jaxclear as jc
 from jaxclear.studies.sensitivity.derivative import Estimate, confirmed
+from tests.rigs.cells import slow_but
 
 CLEARANCE, GRAVITY, OMEGA, TIME = 1e-3, 9.81, 3e3, 0.02
 INTEGRATORS = {
@@ -53,7 +54,9 @@ def fall_and_bounce(clearance):
     return -clearance + speed * flight - GRAVITY * flight**2 / 2
 
 
-@pytest.mark.parametrize("name", INTEGRATORS)
+@pytest.mark.parametrize(
+    "name", slow_but(("explicit, reverse mode", "adaptive, implicit"), INTEGRATORS)
+)
 def test_a_raw_derivative_through_contacts_is_refused_while_traced(name):
     asked = problem(INTEGRATORS[name])
     answer = jax.jit(lambda values: asked.evaluate(values).responses["height"])

@@ -564,6 +564,7 @@ def test_a_design_is_the_cheapest_or_says_that_the_search_did_not_settle(name, s
     assert np.isnan(found.prices).all() == found.round.confined
 
 
+@pytest.mark.slow
 def test_a_design_does_not_end_at_the_end_of_its_search_region():
     """It ended at 1.25 times the least cost, by a shift of the first surface that the second did
     not need, and at the end of the second's region. The worst case is that of exp(t)."""

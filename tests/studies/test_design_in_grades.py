@@ -71,6 +71,7 @@ def share_outside(halves, means):
     return 1 - np.sum(w * hole.pdf(x) * (shaft.cdf(x - 5) - shaft.cdf(x - 45)))
 
 
+@pytest.mark.slow
 def test_classes_of_a_fit_are_the_cheapest_of_all_pairs():
     """H7/g7 at 3.81, of which the means follow the class."""
     pairs = {pair: limits(*pair) for pair in itertools.product(range(6, 9), repeat=2)}

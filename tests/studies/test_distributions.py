@@ -12,6 +12,7 @@ import jaxclear as jc
 from jaxclear.ground.array_functions import on_host
 from jaxclear.studies.inputs import correlation_matrix, joint
 from jaxclear.studies.sampling import draw
+from tests.rigs.cells import slow_but
 from tests.rigs.refusals import refusals
 
 D = jc.distribution
@@ -83,9 +84,7 @@ def test_scores_of_a_cut_off_distribution_end_where_shares_do(compiled):
 QUICK = ("truncated", "weibull", "triangular")
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(n, marks=() if n in QUICK else pytest.mark.slow) for n in CASES]
-)
+@pytest.mark.parametrize("name", slow_but(QUICK, CASES))
 def test_deviations_slopes_and_scores_are_scipys(name):
     distribution, reference = CASES[name]
     wanted = exact(reference)

@@ -115,6 +115,7 @@ def test_a_zone_at_most_material_has_the_bonus_of_the_size_of_each_part():
     assert np.all(shift <= 0.5 * (t + 20.021e-3 - hole) + 1e-15)
 
 
+@pytest.mark.slow
 def test_the_worst_slide_over_two_zones_is_slsqps():
     """Closed geometry of a slider-crank with its pin and bore anywhere in their discs."""
     ideal, angle, crank, rod = jc.scenes.slider_crank("ideal"), 0.7, 0.05, 0.12

@@ -11,6 +11,7 @@ from jaxclear.studies.sampling import draw, groups
 from jaxclear.studies.sensitivity.derivative import Estimate, confirmed, from_parts
 from jaxclear.studies.sensitivity.differences import differences, moved
 from jaxclear.studies.sensitivity.estimand import Functional, Size, directions
+from tests.rigs.cells import slow_but
 
 D = jc.distribution
 SLOPES, SPREADS = np.array([1.0, -0.8, 0.5]), np.array([0.1, 0.2, 0.15])
@@ -271,7 +272,7 @@ ZERO = {
 }
 
 
-@pytest.mark.parametrize("name", ZERO)
+@pytest.mark.parametrize("name", slow_but(("one number", "rounding", "beside what rattles"), ZERO))
 def test_methods_agree_on_a_derivative_of_zero(name):
     """What is small is small beside the response's scatter, or beside rounding."""
     both = {name: jc.Dimension(1.0, D.Normal(0.1)) for name in "xy"}

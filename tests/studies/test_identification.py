@@ -209,6 +209,7 @@ def record(clearance):
     )
 
 
+@pytest.mark.slow
 def test_a_hidden_clearance_is_found_and_restitution_is_not(tmp_path):
     data, problem = record(0.25e-3), machine(0.2e-3)
     found = jc.identify(problem, data, runs=128, store=tmp_path)

@@ -201,6 +201,7 @@ def servo(load):
     return jc.FunctionProblem(Servo(load), unknowns)
 
 
+@pytest.mark.slow
 def test_of_a_servo_the_play_is_told_and_the_stiffness_by_the_load_that_is_meant():
     # A reading in whole counts is off by 1/sqrt(12) of one.
     record = measured(np.array(SERVO), noise=12**-0.5, time=np.array([0.0, 1.0]))

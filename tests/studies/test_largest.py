@@ -6,6 +6,7 @@ import pytest
 from scipy.stats import norm
 
 import jaxclear as jc
+from tests.rigs.cells import slow
 
 SIGMA, OTHER = 3e-6, 4e-6
 
@@ -48,9 +49,7 @@ SKEWED = {
 }
 
 
-@pytest.mark.parametrize(
-    "kind", ["quantile", *(pytest.param(n, marks=SLOW) for n in ("share", "mean"))]
-)
+@pytest.mark.parametrize("kind", ["quantile", *slow("share", "mean")])
 def test_the_largest_value_is_too_large_in_no_more_seeds_than_its_interval_says(kind):
     """An interval of 95 % leaves 2.5 % above: of 30 seeds at most 3, with 99 % (binomial). The
     response is skewed, and its quantile is that of 13 samples or 8."""

@@ -2,6 +2,7 @@
 
 import math
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -37,7 +38,7 @@ def merged(wear_map, *cycles, resolution=0.5):
     some = []
     for features in cycles:
         places = jnp.asarray(features)[:, None]
-        marks = None if wear_map is None else jnp.stack([*map(wear_map.footprint, places[:, 0])])
+        marks = None if wear_map is None else jax.vmap(wear_map.footprint)(places[:, 0])
         volumes = np.full((len(features), 1), 1e-9)
         marks = None if marks is None else marks[:, None]
         some.append((1.0, {("B", "wall"): (volumes, np.asarray(places))}, {("B", "wall"): marks}))

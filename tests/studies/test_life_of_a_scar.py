@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
+from tests.rigs.cells import slow
 from tests.rigs.worn_scar import TURN, crescent, depth_of, lost, scar
 
 CLEARANCE, CYCLES = 0.05e-3, 1e4
@@ -39,7 +40,7 @@ def test_a_life_knows_what_the_clearance_does_to_it(life):
     assert found.value == pytest.approx(exact, rel=0.05) and found.unit == "cycles/m"
 
 
-@pytest.mark.parametrize("clearance", [100e-6, 50e-6, 25e-6])
+@pytest.mark.parametrize("clearance", [*slow(100e-6, 50e-6), 25e-6])
 def test_a_tight_bushing_costs_no_more_cycles_than_a_wide_one(clearance):
     """Down to five times the clearance: levelling between cells is stiff, and was followed by
     thousands of cycles. Lives in fifty jumps and in half as many, which are of first order and so

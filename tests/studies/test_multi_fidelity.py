@@ -134,6 +134,7 @@ def test_the_cost_of_a_run_is_its_work_without_compilation():
     assert 0.1 < cost < 0.4
 
 
+@pytest.mark.slow
 def test_a_mechanism_by_longer_steps_has_the_mean_of_short_ones():
     """A pendulum's swing: against 4096 plain runs; work follows the measured cost."""
     fine = pendulum_problem()

@@ -17,6 +17,8 @@ from jaxclear.studies.replicas import MOST_REPLICAS
 from jaxclear.studies.store import workers
 from jaxclear.studies.store.batch import evaluate_chunk
 from jaxclear.studies.store.store import CHUNKS
+from tests.rigs.cells import slow
+from tests.rigs.loaded_bearing import loaded_bearing
 
 GRAVITY, DURATION, STEP = 9.81, 0.5, 5e-3
 # One program serves all that are run in chunks of this size.
@@ -81,7 +83,7 @@ def test_the_bias_of_euler_steps_is_that_of_the_closed_form(study):
     assert spread.bias == pytest.approx(STEP / DURATION * gravity[:16].std(ddof=1) / 8, rel=1e-6)
 
 
-@pytest.mark.parametrize("share", [0.5, 0.25])
+@pytest.mark.parametrize("share", [0.5, *slow(0.25)])
 def test_a_replica_has_that_share_of_the_steps_that_were_taken(share):
     """Saving times 0.1 s apart shorten steps of 0.03 s to 0.025 s."""
     problem = falling(integrator=jc.integrator.FixedStep(0.03, "semi_implicit"))
@@ -95,12 +97,14 @@ def test_a_replica_has_that_share_of_the_steps_that_were_taken(share):
 @pytest.mark.parametrize(
     "integrator",
     [
-        jc.integrator.FixedStep(STEP, "semi_implicit"),
-        jc.integrator.FixedStep(STEP, "heun"),
-        jc.integrator.FixedStep(5 * STEP),
+        *slow(
+            jc.integrator.FixedStep(STEP, "semi_implicit"),
+            jc.integrator.FixedStep(STEP, "heun"),
+            jc.integrator.FixedStep(5 * STEP),
+        ),
         jc.integrator.ImplicitStep(STEP),
         jc.integrator.FixedStep(steps_per_save=10, method="semi_implicit"),
-        jc.integrator.Adaptive(rtol=1e-5, atol=1e-7),
+        *slow(jc.integrator.Adaptive(rtol=1e-5, atol=1e-7)),
     ],
     ids=["semi_implicit", "heun", "rk4", "implicit", "counted", "adaptive"],
 )
@@ -381,3 +385,15 @@ def test_a_bias_of_a_derivative_that_replicas_do_not_tell_is_said():
     assert found.error == found.estimates["regression"].error
     few = jc.sensitivity(falling(), sample=2, methods=("differences",), difference_samples=16)
     assert "± inf" in few.derivatives["way", "gravity"].verdict
+
+
+@pytest.mark.parametrize(
+    ("response", "says"),
+    [(jc.response.PeakWornDepth("B"), True), (jc.response.WornVolume("B"), False)],
+)
+def test_a_study_of_worn_depths_says_that_cells_are_not_refined(response, says):
+    rig = loaded_bearing(200.0, jc.friction.CoulombTanh(mu_kinetic=0.1))
+    varied = {"load": jc.Variable(lambda rig: rig.loads["load"].force, tolerance=20.0)}
+    steps = jc.integrator.FixedStep(1e-5)
+    problem = jc.Problem(rig, {"worn": response}, varied, duration=0.02, save=11, integrator=steps)
+    assert ("size of cells" in problem.description.remark) == says

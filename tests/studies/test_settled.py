@@ -32,6 +32,13 @@ def test_a_journal_that_falls_into_its_place_settles_there(ring):
     assert ring.responses["force"] == pytest.approx((ClosedForm().force_at(0.0), 0.0), rel=1e-5)
 
 
+def test_a_settled_cycle_says_the_means_of_its_responses(ring):
+    lines = str(ring).splitlines()
+    for name, (value, _) in ring.responses.items():
+        [line] = [one for one in lines if one.startswith(f'"{name}" of a cycle: ')]
+        assert float(line.split(": ")[1].split(" ±")[0].strip("(")) != 0 or value == 0
+
+
 @pytest.mark.slow
 def test_a_cycle_is_the_run_that_simulate_makes(ring):
     own = {"save": SAVES, "integrator": ring.problem.integrator}

@@ -8,6 +8,7 @@ import pytest
 import scipy
 
 import jaxclear as jc
+from tests.rigs.cells import slow
 from tests.rigs.refusals import refusals
 
 D = jc.distribution
@@ -28,7 +29,7 @@ def problem(function=None, **more):
 PIN, GAP = (R / 2) ** 2 * SLOPE @ SLOPE, (2.0 * SPREAD) ** 2
 
 
-@pytest.mark.parametrize("dimension", [2, 3])
+@pytest.mark.parametrize("dimension", [2, *slow(3)])
 def test_points_fill_a_disc_and_a_ball_evenly(dimension):
     """The share within a radius r is (r/R)^k, the variance of a coordinate R^2 / (k + 2)."""
     ball = D.Ball(2.0, dimension)

@@ -14,6 +14,7 @@ from jaxclear.studies.statistics.scrambled import (
     smooth_quantile,
     student,
 )
+from tests.rigs.cells import slow
 
 D = jc.distribution
 # A stack of four parts: gap = d - a - b - c, normal with mean 0.5 mm.
@@ -187,9 +188,7 @@ LAWS = {
 }
 
 
-@pytest.mark.parametrize(
-    ("samples", "seeds"), [(256, 100), pytest.param(1024, 400, marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize(("samples", "seeds"), slow((256, 100), (1024, 400)))
 def test_intervals_of_skewed_statistics_hold_their_closed_forms(samples, seeds):
     """Of three numbers. The skewness of eight scramblings alone left 16 % of deviations of a
     lognormal above the interval, and 6 % of an exponential; 2.5 % are expected, 3 to 6 measured.

@@ -15,6 +15,7 @@ import jaxclear as jc
 from jaxclear.studies.store import batch
 from jaxclear.studies.store.samples import Samples
 from jaxclear.studies.store.store import CHUNKS, STUDY, Store, StoreError, compute_address
+from tests.rigs.cells import slow_but
 from tests.studies.test_campaign import contents, kept_at, problem
 
 
@@ -241,7 +242,10 @@ STUDIES = {
 }
 
 
-@pytest.mark.parametrize("name", STUDIES)
+LONG = "corrected_statistics", "reliability", "design"
+
+
+@pytest.mark.parametrize("name", slow_but([n for n in STUDIES if n not in LONG], STUDIES))
 def test_every_study_takes_what_it_asks_from_its_store(name, tmp_path, computed):
     """The answer is that without one; the second time nothing is computed."""
     study = STUDIES[name]

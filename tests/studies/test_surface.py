@@ -120,6 +120,7 @@ def test_what_cannot_be_asked_gets_a_sentence(problem, sentence):
         jc.surface(problem, **REFUSED[sentence])
 
 
+@pytest.mark.slow
 def test_corrected_intervals_hold_the_closed_form():
     """Lognormal response: mean, deviation and probability are known. 95 % intervals hold in 30 of
     40 repetitions at the least (binomial: fewer than 1 in 1000 times at 91 %); those of deviations,

@@ -295,6 +295,7 @@ def test_lives_of_a_sample_are_those_of_the_closed_form(tmp_path):
     assert other.until("depth", limit)[0] not in found.until("depth", limit)
 
 
+@pytest.mark.slow
 def test_a_life_is_a_response_as_any_other(tmp_path, monkeypatch):
     """As long as it takes, in proportion to hardness over load where the force does not fall. A
     study that is interrupted in its second life goes on from the cycle before."""

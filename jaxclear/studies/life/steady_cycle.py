@@ -9,6 +9,7 @@ import numpy as np
 
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_count, check_flags, check_number
+from jaxclear.ground.printing import with_error
 from jaxclear.multibody.mechanism import Mechanism
 from jaxclear.results.state_history import State
 from jaxclear.results.trajectory import Trajectory
@@ -104,7 +105,12 @@ class SteadyCycle(AbstractAnswer):
         return f"{means}; the volume worn in a cycle is known to {100 * error:.2g} % (one sigma)."
 
     def _summary(self):
-        return self.sentence(), *self.warnings
+        units = self.problem.units()
+        means = (
+            f'"{name}" of a cycle: {with_error(*mean)} {units[name]}'.removesuffix(" 1")
+            for name, mean in self.responses.items()
+        )
+        return self.sentence(), *means, *self.warnings
 
     def _stated(self):
         over, units = ("cycle",), self.problem.units()

@@ -238,7 +238,10 @@ def deviation(values: np.ndarray, group: np.ndarray) -> float:
 
 def ordinary_quantile(values: np.ndarray, share: float) -> float:
     """The value that a share [1] of the responses does not exceed; infinite where one of the two
-    samples that it lies between is."""
+    samples that it lies between is.
+
+    Source: definition 7 of Hyndman & Fan 1996, Am. Stat. 50, 361, doi:10.2307/2684934.
+    """
     ends = [float(np.quantile(values, share, method=method)) for method in ("lower", "higher")]
     if np.all(np.isfinite(ends)):
         return float(np.quantile(np.where(np.isfinite(values), values, ends[1]), share))

@@ -53,7 +53,7 @@ def dataset_of(samples: Samples) -> Any:
         columns[finer_name(name)] = xarray.Variable("replica", values, about)
     about = {"long_name": "1 for a chunk that is finished"}
     columns["finished"] = xarray.Variable("chunk", there.astype("int8"), about)
-    figures = [f"{check}, {place}" if place else check for check, place in samples.figures]
+    figures = [f"{check.lower()} {place}".rstrip() for check, place in samples.figures]
     coordinates = {"figure": figures} if figures else {}
     attributes = {
         "what": samples.description["what"],
