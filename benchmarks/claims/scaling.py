@@ -6,6 +6,8 @@ compile in bearable time; everything else takes turns in one process. No link of
 an ideal joint: it hangs together by contact forces alone, let go straight, away from the vertical.
 """
 
+import dataclasses
+import functools
 import json
 import math
 import subprocess
@@ -14,6 +16,7 @@ from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -274,9 +277,48 @@ def _samples(asked: jc.Problem, size: int, repeats: int) -> dict[str, Any]:
     return row | {"result": f"{np.sum(well)} of {size} ended well"}
 
 
+# Samples of the four-bar, and its durations [s]; the longest is a turn of the crank.
+WEARING_SAMPLES, WEARING_TIMES = 64, (0.02, 0.2, 0.628)
+
+
+def wear_rows(options: Any) -> list[dict[str, Any]]:
+    """CPU time of a step of the four-bar in a batch with wear, with a surface that is updated once,
+    and without wear, each without what a run of no length takes."""
+    rows, updates = [], {"wear": None, "one update": 1}
+    is_wearing = lambda node: isinstance(node, jc.Wearing)
+    for duration in WEARING_TIMES[: 1 if options.quick else None]:
+        cases, answers = {}, {}
+        for name in ("dry", *updates):
+            rig = jc.scenes.four_bar(wear=name in updates)
+            rarer = lambda node, n=updates.get(name): (
+                dataclasses.replace(node, updates=n) if is_wearing(node) else node
+            )
+            rig = jax.tree.map(rarer, rig, is_leaf=is_wearing)
+            asked = question(rig, jc.integrator.FixedStep(STEP), duration)
+            spread = np.random.default_rng(0).normal(size=(WEARING_SAMPLES, 2)) / 3
+            values = np.asarray(asked.nominal()) + np.array(TOLERANCES) * np.clip(spread, -1, 1)
+            at_once = eqx.tree_at(lambda p: p.duration, asked, jnp.asarray(1e-9))
+
+            def go(key, problem, values=values):
+                answers[key] = evaluate_all(problem, values)
+                return answers[key].responses["steps"]
+
+            cases[name, True] = functools.partial(go, (name, True), asked)
+            cases[name, False] = functools.partial(go, (name, False), at_once)
+        spent = {key: cpu for key, (_, cpu) in side_by_side(cases, 3).items()}
+        row: dict[str, Any] = {"duration [s]": duration, "samples": WEARING_SAMPLES}
+        for name in ("dry", *updates):
+            steps = np.sum(answers[name, True].responses["steps"])
+            row[f"{name} [ns/step]"] = 1e9 * (spent[name, True] - spent[name, False]) / float(steps)
+        row["share of wear [%]"] = 100 * (1 - row["dry [ns/step]"] / row["wear [ns/step]"])
+        rows.append(row)
+    return rows
+
+
 TABLES = {
     f"scaling: a hanging chain, {CHAIN_TIME:g} s, fixed steps of {CHAIN_STEP:g} s": chain_rows,
     "scaling: samples through evaluate_all, on all cores": sample_rows,
+    "scaling: wear of the four-bar in a batch, FixedStep": wear_rows,
 }
 
 if __name__ == "__main__":

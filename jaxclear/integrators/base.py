@@ -73,6 +73,8 @@ class Interval(NamedTuple):
             integrator may save the work.
         peaks: largest indentations [m] and forces [N] of the run so far, for their derivatives;
             None: not recorded.
+        under_way: whether steps of this interval are under way, and what their loop carries; ():
+            none are; None: the interval is gone through at once.
     """
 
     start: Scalar
@@ -80,6 +82,7 @@ class Interval(NamedTuple):
     error_weights: Float[Array, " n"]
     running: Bool[Array, ""]
     peaks: Peaks | None = None
+    under_way: Any = None
 
 
 class Advance(NamedTuple):
@@ -96,6 +99,8 @@ class Advance(NamedTuple):
         events: touches and releases, where the model asks for them, else None.
         transmitted: the largest that each coupling of `forces.transmitting` has transmitted in its
             steps [N m, N]; None: not recorded.
+        under_way: for the same interval again, whose end is not reached where the first of these is
+            true; None: the end is reached.
     """
 
     state: State
@@ -106,6 +111,7 @@ class Advance(NamedTuple):
     peaks: Peaks | None = None
     events: Events | None = None
     transmitted: Any = None
+    under_way: Any = None
 
 
 # What derivatives do not know where couplings have play.
@@ -340,6 +346,28 @@ def resolved(step: Any, interval: Interval) -> Any:
     """A step [s], nan where it is so short that the time at the end of an interval does not grow by
     it: a loop that waits for the end would wait for ever."""
     return jnp.where(interval.stop + step > interval.stop, step, jnp.nan)
+
+
+def resumable_loop(
+    condition: Callable, turn: Callable, first: Any, under_way: Any
+) -> tuple[Any, tuple | None]:
+    """(what a loop over the steps of an interval carries, that for the next call).
+
+    Samples of a batch that wear surfaces reach the ends of their intervals after different numbers
+    of steps; half of them do not wait for the others.
+
+    Args:
+        condition, turn: as of `while_loop`.
+        first: what it carries first.
+        under_way: as of `Interval`.
+    """
+    if under_way is None:
+        return while_loop(condition, turn, first), None
+    if under_way:
+        goes_on, carry = under_way
+        first = jax.tree.map(lambda old, new: jnp.where(goes_on, old, new), carry, first)
+    carry = while_loop(condition, turn, first, resumed=True)
+    return carry, (condition(carry), carry)
 
 
 def march(

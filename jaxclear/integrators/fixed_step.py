@@ -43,6 +43,7 @@ from jaxclear.integrators.base import (
     counted,
     divide,
     resolved,
+    resumable_loop,
 )
 from jaxclear.integrators.events import among, no_peaks, risen, since, watch_from, watched
 from jaxclear.integrators.munthe_kaas import state_group
@@ -55,7 +56,6 @@ from jaxclear.integrators.variational import (
     so_far,
     trusted_steps,
 )
-from jaxclear.native import while_loop
 
 # The method on the group of the coordinates.
 ON_GROUP = "munthe_kaas4"
@@ -356,12 +356,14 @@ class FixedStep(AbstractIntegrator):
         first = jnp.zeros((), int), interval.start, state, warm_start, peaks, watch
         if self.steps_per_save is None:
             unfinished = lambda carry: carry[0] < steps if pace is None else carry[1] < stop
-            steps, _, end, last, peaks, watch = while_loop(unfinished, turn, first)
+            carry, under_way = resumable_loop(unfinished, turn, first, interval.under_way)
+            steps, _, end, last, peaks, watch = carry
         else:
             scanned = lambda index, carry: turn((index, *carry))[1:]
             _, end, last, peaks, watch = counted(scanned, self.steps_per_save, first[1:])
+            under_way = None
         if peaks is not None and kind is None:
             # With the derivatives of those of the run.
             peaks = among(interval.peaks, peaks)
         end, peaks, watch = trusted_steps(kind, end, peaks, watch, last)
-        return arrived(end, steps, last, peaks, watch)
+        return arrived(end, steps, last, peaks, watch)._replace(under_way=under_way)

@@ -70,10 +70,11 @@ def write_loop(
     kinds: list[str],
     outermost: bool = False,
     together: bool = False,
+    resumed: bool = False,
 ) -> list:
     """Writes a while loop over arrays of registers, and of changing ones in memory.
 
-    Every sample stops by itself; the loop ends with the last one.
+    Every sample stops by itself; the loop ends with the last one, or where it is `resumed`.
 
     Args:
         writer: LLVM text under construction.
@@ -86,6 +87,8 @@ def write_loop(
             what is unfinished becomes nan.
         together: whether all samples take the same turns, which the first number of the state
             counts.
+        resumed: whether it ends when half of the samples have, as the loop around it goes on with
+            the others.
     """
     # A turn may change them, so that as they were before the loop they can be read no more.
     rooms = carried_in_memory(writer, carry, kinds)
@@ -104,7 +107,7 @@ def write_loop(
     region, outer = writer.enter(), writer.active
     state = _state_of_turn(writer, registers, turn, start) if together else registers
     truth = condition(_shape_like(state, carry, long))
-    go, truth, stopped = _write_loop_test(writer, truth, turn, outermost)
+    go, truth, stopped = _write_loop_test(writer, truth, turn, outermost, resumed)
     writer.say(f"br i1 {go}, label %{inside}, label %{behind}")
     writer.start(inside)
     writer.active = truth if writer.lanes > 1 and not together else None
@@ -180,13 +183,13 @@ def _shape_like(values, like, long):
     return out
 
 
-def _write_loop_test(writer, truth, turn, outermost):
+def _write_loop_test(writer, truth, turn, outermost, resumed):
     """Whether to go on, each sample's truth, and (of the outermost loop) whether it was stopped."""
     if writer.checked and outermost:
         return writer.put(f"icmp slt i64 {turn}, 1"), writer.text(True, TRUTH), None
     if writer.active is not None:
         truth = writer.operate("and {type} {0}, {1}", TRUTH, truth, writer.active)
-    go = writer.any(truth)
+    go = writer.most(truth, writer.active) if resumed else writer.any(truth)
     if writer.checked:
         allowed = writer.put(f"icmp slt i64 {turn}, {MOST_TURNS}")
         return writer.put(f"and i1 {go}, {allowed}"), truth, None
@@ -380,8 +383,8 @@ def _write_time_loop(writer, equation, *arguments):
     if program.single_turn:
         return write_closed(writer, program.body, arguments[program.condition_constants :])
     counts = program.condition_constants, program.body_constants
-    programs = program.condition, program.body
-    return _inner_loop(writer, equation, programs, counts, arguments, outermost=True)
+    programs, flags = (program.condition, program.body), (True, False, program.resumed)
+    return _inner_loop(writer, equation, programs, counts, arguments, flags)
 
 
 def _write_row_by_row(writer, program, arguments, outvars):
@@ -396,8 +399,9 @@ def _write_row_by_row(writer, program, arguments, outvars):
     return [np.stack(column) for column in zip(*rows, strict=True)]
 
 
-def _inner_loop(writer, equation, programs, counts, arguments, outermost=False):
-    """A loop by its programs (condition, body), of whose arguments so many are constants."""
+def _inner_loop(writer, equation, programs, counts, arguments, flags=()):
+    """A loop by its programs (condition, body), of whose arguments so many are constants, with the
+    `flags` of `write_loop`."""
     (condition, body), (first, second) = programs, counts
     fixed_condition, fixed_body = arguments[:first], arguments[first : first + second]
     return write_loop(
@@ -406,5 +410,5 @@ def _inner_loop(writer, equation, programs, counts, arguments, outermost=False):
         lambda state: write_closed(writer, body, [*fixed_body, *state]),
         arguments[first + second :],
         [kind_of(atom.aval.dtype) for atom in equation.outvars],
-        outermost=outermost,
+        *flags,
     )

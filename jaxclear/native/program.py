@@ -59,7 +59,8 @@ class Program(NamedTuple):
     `within`: it stands in the body of another loop, whose kernel it is a part of. `narrow`: the
     loop of one of the tangents that it takes side by side. `shared`: constants that are the same
     for all samples of a batch, and have no axes for them. `long`: parts of the state that stand in
-    memory, and are changed there.
+    memory, and are changed there. `resumed`: it stands in a turn that takes it up again where some
+    samples were left unfinished, so it may end when half of those that the turn goes through have.
     """
 
     condition: ClosedJaxpr
@@ -76,6 +77,7 @@ class Program(NamedTuple):
     shared: frozenset[int] = frozenset()
     long: frozenset[int] = frozenset()
     vmapped: bool = False
+    resumed: bool = False
 
 
 class Narrow(NamedTuple):

@@ -21,6 +21,7 @@ def while_loop(
     long: Any = False,
     single_turn: bool = False,
     vmapped: bool = False,
+    resumed: bool = False,
 ) -> Any:
     """As `jax.lax.while_loop`, for a state of few numbers; forward-mode differentiable and batched.
 
@@ -33,6 +34,8 @@ def while_loop(
         single_turn: whether it is a function, a loop of one turn.
         vmapped: whether XLA gets it as if this module had not been used, where it becomes no
             kernel.
+        resumed: whether the loop around it takes it up again where the condition still holds, so
+            that samples of a kernel need not wait for the last of them.
     """
     in_memory = _leaves_in_memory(long, first)
     first = jax.tree.map(jnp.asarray, first)
@@ -44,7 +47,7 @@ def while_loop(
             f"the body of a loop must keep shapes and types: {leaves} became {turns.out_avals}."
         )
     program = Program(tests, turns, len(fixed_tests), len(fixed_turns), single_turn, long=in_memory)
-    program = program._replace(vmapped=vmapped)
+    program = program._replace(vmapped=vmapped, resumed=resumed)
     out = loop_p.bind(*fixed_tests, *fixed_turns, *leaves, program=program, rank=0)
     return jax.tree.unflatten(structure, out)
 

@@ -304,6 +304,22 @@ class Writer:
         self.needs.add(f"declare i1 {name}({self.wide(TRUTH)})")
         return self.put(f"call i1 {name}({self.wide(TRUTH)} {word})")
 
+    def most(self, truth: Any, among: Any) -> str:
+        """Whether it holds for more than half of some samples (None: of all), as a single i1; of
+        one sample whether it holds."""
+        if self.lanes == 1:
+            return self.any(truth)
+        self.needs.add("declare i64 @llvm.ctpop.i64(i64)")
+        counts = []
+        for each in (truth, True if among is None else among):
+            word = f"{self.wide(TRUTH)} {self.text(each, TRUTH)}"
+            bits = self.put(f"bitcast {word} to i{self.lanes}")
+            bits = self.put(f"zext i{self.lanes} {bits} to i64")
+            counts.append(self.put(f"call i64 @llvm.ctpop.i64(i64 {bits})"))
+        return self.put(
+            f"icmp ugt i64 {self.put(f'add i64 {counts[0]}, {counts[0]}')}, {counts[1]}"
+        )
+
     def choose(self, truth: Any, yes: Any, no: Any, kind: str) -> Any:
         """`yes` where `truth` holds, else `no`.
 

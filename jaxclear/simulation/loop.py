@@ -48,7 +48,6 @@ from jaxclear.simulation.invariants import contact_labels, contact_names, is_too
 from jaxclear.simulation.sampling import next_instant, sample_loads, sampled_loads
 from jaxclear.simulation.saving import with_few_enough_steps
 from jaxclear.simulation.wear import (
-    Losses,
     Pending,
     Worn,
     is_off_surface,
@@ -399,13 +398,14 @@ class Turn:
         state = between_worn_flanks(model.system, model.layout, (now.read, read), now.state)
         return now._replace(state=state, worn=worn, read=read)
 
-    def motion(self, now: Carry, span: Span) -> tuple[Carry, Losses, Events | None]:
-        """What is handed on but for worn surfaces, what these lose, and events."""
+    def motion(self, now: Carry, span: Span, under_way: Any = None) -> tuple:
+        """(what is handed on but for worn surfaces, a `Carry`; what these lose, `Losses`; events;
+        steps under way, as of an `Interval`: where there are some the others are not valid yet)."""
         if self.report:
             jax.debug.callback(progress.advance, span.progress)
         model, layout = self.model, self.model.layout
         running = (now.outcome == Outcome.REACHED).astype(bool)
-        ahead = self.interval_ahead(span, running, now.peaks)
+        ahead = self.interval_ahead(span, running, now.peaks)._replace(under_way=under_way)
         start = sample_loads(model, span.start, now.state)
         result = self.advance(self.arrays, now.read, ahead, start, now.warm_start)
         moving = result.state[: layout.memory_start]
@@ -432,7 +432,7 @@ class Turn:
         sent = jax.tree.map(rises, now.transmitted, result.transmitted)
         ends = result.warm_start, outcome, ended, steps, peaks, sent
         after = Carry(state, now.worn, now.read, *ends)
-        return after, losses(layout, now.state, state), result.events
+        return after, losses(layout, now.state, state), result.events, result.under_way
 
 
 def _advance_by_updates(
@@ -442,11 +442,12 @@ def _advance_by_updates(
     step: Any,
     settled: Callable,
     loop: Callable,
+    resumed: Any,
 ) -> Callable:
     """A part of a saving interval that is gone through from update to update of worn surfaces, by a
     while `loop`, as (what is handed on, span) -> (that, what is left). `motion` as of a `Turn`,
     `settled` wears surfaces; `step` [s]: of an integrator whose steps have a length, so that
-    updates come after whole ones.
+    updates come after whole ones; `resumed`: () where a turn may leave steps under way, else None.
 
     A part in which a contact has gone more than twice as far as it is to is taken again, shorter.
     """
@@ -460,11 +461,14 @@ def _advance_by_updates(
 
     def parts(first, span):
         def one(now):
-            time, (carry, pending, length), noted = now
+            time, (carry, pending, length), noted, steps = now
             end = end_of_part(time, length, span.stop)
             wears = None if span.wears is None else span.wears | (time > span.start)
+            if steps:
+                wears = ~steps[0] if wears is None else wears & ~steps[0]
             carry, pending = settled(carry, pending, wears)
-            moved, wear, more = motion(carry._replace(worn={}), span._replace(start=time, stop=end))
+            part = span._replace(start=time, stop=end)
+            moved, wear, more, steps = motion(carry._replace(worn={}), part, steps)
             path, taken = longest_path(system, wear), end - time
             change = jnp.where(path > 0, limits.path / jnp.where(path > 0, path, 1.0), LONGER)
             target = taken * jnp.clip(change, SHORTER, LONGER)
@@ -474,6 +478,8 @@ def _advance_by_updates(
             # A part that a saving time has cut off says nothing of longer ones.
             cut_off = fits & (end >= span.stop)
             target = jnp.where(cut_off, jnp.maximum(target, length), target)
+            if steps:
+                fits, target = fits & ~steps[0], jnp.where(steps[0], length, target)
             chosen = lambda new, old: jnp.where(fits, new, old)
             # Worn surfaces are the same in both.
             after = jax.tree.map(
@@ -482,11 +488,12 @@ def _advance_by_updates(
             after = after._replace(worn=carry.worn, read=carry.read)
             if more is not None:
                 noted = jax.tree.map(chosen, together(noted, more), noted)
-            return chosen(end, time), (after, pending, target), noted
+            return chosen(end, time), (after, pending, target), noted, steps
 
-        more = jax.eval_shape(motion, first[0]._replace(worn={}), span)[2]
-        nothing = jax.tree.map(lambda each: jnp.zeros(each.shape, each.dtype), more)
-        _, carry, noted = loop(lambda now: now[0] < span.stop, one, (span.start, first, nothing))
+        shapes = jax.eval_shape(motion, first[0]._replace(worn={}), span, resumed)[2:]
+        nothing, steps = jax.tree.map(lambda each: jnp.zeros(each.shape, each.dtype), shapes)
+        begin = span.start, first, nothing, steps
+        _, carry, noted, _ = loop(lambda now: now[0] < span.stop, one, begin)
         return carry, ((), noted)
 
     return parts
@@ -523,7 +530,7 @@ def through_interval(turn: Turn) -> Callable[[Carry, Span], Carry]:
     """A saving interval of a run in which nothing wears, as (what is handed on, span) -> that."""
 
     def part(now, span):
-        now, _, noted = turn.motion(now, span)
+        now, _, noted, _ = turn.motion(now, span)
         return now, ((), noted)
 
     interval = _advance_by_instants(turn, while_loop, part)
@@ -542,19 +549,20 @@ def _run_in_one_kernel(turn: Turn, first: Carry, spans: Span, updates: Any) -> t
         return turn.worn_as(now, worn, read), pending
 
     def by_kernel(condition, body, first):
-        return while_loop(condition, body, first, (False, LONG_CARRY, False))
+        return while_loop(condition, body, first, (False, LONG_CARRY, *[False] * (len(first) - 2)))
 
     if pending is None:
         length = None
 
         def part(carry, span):
-            now, _, noted = turn.motion(carry[0], span)
+            now, _, noted, _ = turn.motion(carry[0], span)
             return (now, None, None), ((), noted)
 
     else:
         limits, spans = _update_limits(model.system, spans, step, updates)
         length = limits.longest
-        part = _advance_by_updates(turn.motion, model.system, limits, step, settled, by_kernel)
+        functions = settled, by_kernel
+        part = _advance_by_updates(turn.motion, model.system, limits, step, *functions, ())
     part = _advance_by_instants(turn, by_kernel, part)
 
     def one(carry, span):
@@ -587,7 +595,8 @@ def _run_by_saves(
     if by_path:
         limits, spans = _update_limits(system, spans, step, updates)
         entry = first, pending_wear(system, layout, first.state).since, limits.longest
-        between = _advance_by_updates(motion, system, limits, step, settled, jax.lax.while_loop)
+        functions = settled, jax.lax.while_loop
+        between = _advance_by_updates(motion, system, limits, step, *functions, None)
 
     def part(carry, span):
         if by_path:
@@ -595,7 +604,7 @@ def _run_by_saves(
             return carry, (carry[0].read, noted)
         (now,) = carry
         worn, read = now.worn, now.read
-        now, losses_now, noted = motion(now._replace(worn={}), span)
+        now, losses_now, noted, _ = motion(now._replace(worn={}), span)
         if worn:
             now = turn.worn_as(now, *wear_all(system, worn, read, losses_now))
         return (now,), (read, noted)
@@ -618,7 +627,7 @@ def _as_a_kernel(motion: Callable) -> Callable:
     """A turn's motion as a kernel of its own, between whose calls surfaces wear: XLA would start
     each of its operations on a few numbers by itself."""
 
-    def alone(now: Carry, span: Span) -> tuple:
+    def alone(now: Carry, span: Span, _: Any = None) -> tuple:
         read = now.read
 
         def turn(now, _):

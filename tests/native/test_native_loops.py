@@ -358,3 +358,38 @@ def test_equations_that_stand_in_a_program_several_times_are_one_in_its_kernel(b
     texts = [kernel.text_of(program, 1) for program in built]
     assert [text.count("call double @tanh") for text in texts] == [1, 1]
     assert np.isfinite(once) and often > once
+
+
+def in_parts(counts, first, resumed):
+    """(turns of the loop around, what the parts add up): so many steps in each part in turn. Where
+    its loop is `resumed`, a turn takes up what the one before has left of a part."""
+
+    def turn(now):
+        turns, part, step, total = now
+        goes_on = lambda inner: inner[0] < counts[part]
+        inner = step, total
+        step, total = while_loop(
+            goes_on,
+            lambda inner: (inner[0] + 1, jnp.sin(inner[1] + 0.3)),
+            inner,
+            resumed=resumed,
+        )
+        done = ~goes_on((step, total))
+        return turns + 1, jnp.where(done, part + 1, part), jnp.where(done, 0, step), total
+
+    none = jnp.zeros((), int)
+    last = while_loop(lambda now: now[1] < len(counts), turn, (none, none, none, first))
+    return last[0], last[3]
+
+
+def test_half_of_the_samples_do_not_wait_for_the_others():
+    """What each of them computes is the same to the last digit."""
+    counts = np.random.default_rng(0).integers(1, 30, (16, 12))
+    first = np.linspace(0.0, 1.0, 16)
+    run = lambda resumed: jax.jit(jax.vmap(lambda c, x: in_parts(c, x, resumed)))(counts, first)
+    (turns, total), (turns_together, total_together) = run(True), run(False)
+    np.testing.assert_array_equal(total, total_together)
+    assert np.all(turns_together == 12) and np.any(turns > 12)
+    alone = jax.jit(lambda c, x: in_parts(c, x, True))(counts[3], first[3])
+    assert int(alone[0]) == 12
+    np.testing.assert_allclose(alone[1], total[3], rtol=1e-15)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
+from jaxclear.studies.store.batch import evaluate_all
 from tests.rigs.cells import slow
 
 INTEGRATOR, DURATION = jc.integrator.FixedStep(2.5e-5), 0.02
@@ -82,3 +83,24 @@ def test_with_a_progress_bar_a_run_wears_as_without():
         depth(jc.simulate(rig(None), DURATION, progress_bar=bar, **how)) for bar in (True, False)
     )
     np.testing.assert_allclose(shown, wanted, rtol=0, atol=1e-9 * wanted.max())
+
+
+def test_samples_in_a_batch_wear_as_beside_others():
+    """They come to their updates after different numbers of steps, and do not wait for each other:
+    to the last digit the same beside samples that differ as beside those that are alike."""
+    joint = lambda rig: rig.connections["B"].joint
+    problem = jc.Problem(
+        rig(None),
+        {"depth": jc.response.PeakWornDepth("B"), "steps": lambda run: run.accepted_steps},
+        {"clearance": jc.Variable(lambda rig: joint(rig).clearance, tolerance=50e-6)},
+        duration=DURATION,
+        integrator=INTEGRATOR,
+        save=3,
+    )
+    nominal = problem.nominal()[0]
+    different = nominal * np.linspace(0.5, 1.5, 8)[:, None]
+    beside = evaluate_all(problem, different).responses
+    alike = evaluate_all(problem, np.full_like(different, different[2, 0])).responses
+    assert np.ptp(beside["depth"]) > 0
+    for name, values in alike.items():
+        np.testing.assert_array_equal(values, np.full(8, beside[name][2]))

@@ -28,6 +28,7 @@ from jaxclear.integrators import AbstractIntegrator, Outcome
 from jaxclear.integrators.checks import Checks
 from jaxclear.multibody import closure_coordinates
 from jaxclear.multibody.mechanism import Mechanism, ungiven
+from jaxclear.multibody.start_equations import Start
 from jaxclear.multibody.state import names
 from jaxclear.multibody.system import longest_arm
 from jaxclear.multibody.validation import check_values
@@ -188,9 +189,18 @@ def first_state(problem: Problem, values: Any) -> tuple[SavedMotion, Worn]:
     check_values("this mechanism", mechanism)
     mechanism = formulation.modelled(mechanism)
     mechanism, start, past = beginning(mechanism, formulation, problem.state)[:3]
-    if not problem.keeps_mode(mechanism, start):
+    kept, motion, worn = _begin(problem, mechanism, start, past)
+    if not kept:
         raise ValueError(Outcome.OTHER_MODE.sentence)
-    model = model_of(mechanism, formulation)
+    return motion, worn
+
+
+@compiled_quickly
+def _begin(
+    problem: Problem, mechanism: Mechanism, start: Start, past: Past
+) -> tuple[Any, SavedMotion, Worn]:
+    """Whether a start is of the nominal mode; the motion and the surfaces there."""
+    model = model_of(mechanism, problem.integrator.formulation)
     layout = model.layout
     rest = jnp.zeros(layout.size - layout.memory_start)
     state = jnp.concatenate([start.coordinates, start.speeds, rest])
@@ -202,7 +212,8 @@ def first_state(problem: Problem, values: Any) -> tuple[SavedMotion, Worn]:
     parts = start.coordinates, start.speeds, remembered
     details = tuple(named[:first]), tuple(named[memory_start]), mechanism.topology.redundancy
     motion = SavedMotion(time, *parts, *details)
-    return motion, unworn(model.system) if past.worn is None else past.worn
+    worn = unworn(model.system) if past.worn is None else past.worn
+    return problem.keeps_mode(mechanism, start), motion, worn
 
 
 def check_cycle(what: str, problem: Any) -> None:
