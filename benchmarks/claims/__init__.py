@@ -1,1 +1,1 @@
-"""What the engine claims of itself, measured: time, accuracy, sizes of programs, the house."""
+"""What the engine claims of itself, measured: time, accuracy, sizes of programs."""

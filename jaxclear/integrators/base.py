@@ -348,26 +348,17 @@ def resolved(step: Any, interval: Interval) -> Any:
     return jnp.where(interval.stop + step > interval.stop, step, jnp.nan)
 
 
-def resumable_loop(
-    condition: Callable, turn: Callable, first: Any, under_way: Any
-) -> tuple[Any, tuple | None]:
-    """(what a loop over the steps of an interval carries, that for the next call).
+def take_up(first: Any, under_way: Any) -> Any:
+    """What a loop over the steps of an interval carries at its start: `first`, or what it carried
+    where it is under way (as of `Interval`).
 
     Samples of a batch that wear surfaces reach the ends of their intervals after different numbers
     of steps; half of them do not wait for the others.
-
-    Args:
-        condition, turn: as of `while_loop`.
-        first: what it carries first.
-        under_way: as of `Interval`.
     """
-    if under_way is None:
-        return while_loop(condition, turn, first), None
-    if under_way:
-        goes_on, carry = under_way
-        first = jax.tree.map(lambda old, new: jnp.where(goes_on, old, new), carry, first)
-    carry = while_loop(condition, turn, first, resumed=True)
-    return carry, (condition(carry), carry)
+    if not under_way:
+        return first
+    goes_on, carry = under_way
+    return jax.tree.map(lambda old, new: jnp.where(goes_on, old, new), carry, first)
 
 
 def march(

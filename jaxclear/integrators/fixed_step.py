@@ -43,7 +43,7 @@ from jaxclear.integrators.base import (
     counted,
     divide,
     resolved,
-    resumable_loop,
+    take_up,
 )
 from jaxclear.integrators.events import among, no_peaks, risen, since, watch_from, watched
 from jaxclear.integrators.munthe_kaas import state_group
@@ -56,6 +56,7 @@ from jaxclear.integrators.variational import (
     so_far,
     trusted_steps,
 )
+from jaxclear.native import while_loop
 
 # The method on the group of the coordinates.
 ON_GROUP = "munthe_kaas4"
@@ -356,7 +357,10 @@ class FixedStep(AbstractIntegrator):
         first = jnp.zeros((), int), interval.start, state, warm_start, peaks, watch
         if self.steps_per_save is None:
             unfinished = lambda carry: carry[0] < steps if pace is None else carry[1] < stop
-            carry, under_way = resumable_loop(unfinished, turn, first, interval.under_way)
+            resumed = interval.under_way is not None
+            first = take_up(first, interval.under_way)
+            carry = while_loop(unfinished, turn, first, resumed=resumed)
+            under_way = (unfinished(carry), carry) if resumed else None
             steps, _, end, last, peaks, watch = carry
         else:
             scanned = lambda index, carry: turn((index, *carry))[1:]

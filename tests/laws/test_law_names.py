@@ -14,7 +14,7 @@ import jaxclear as jc
 from jaxclear.laws import wear
 from jaxclear.laws.contact import cylinder, dissipation, elastic
 from tests.laws.contracts import WEAR_CHECKS
-from tests.laws.law_family import family
+from tests.laws.law_family import family, members
 
 PRODUCTS = {
     name: law
@@ -32,6 +32,18 @@ def test_a_name_builds_what_its_signature_says(name):
     assert law.remembers_impact_speed == ("Marhefka" not in name)
     for number in inspect.signature(build).parameters:
         getattr(law, number)
+
+
+def test_every_law_names_its_source():
+    families = (
+        jc.contact.AbstractNormalLaw,
+        jc.contact.AbstractElasticForce,
+        jc.contact.AbstractDissipation,
+        jc.friction.AbstractFrictionLaw,
+        jc.wear.AbstractWearLaw,
+    )
+    laws = [law for each in families for law in members(each)]
+    assert not [law.__name__ for law in laws if "Source:" not in inspect.getdoc(law)]
 
 
 def test_parts_are_as_documented():
