@@ -99,8 +99,8 @@ class Advance(NamedTuple):
         events: touches and releases, where the model asks for them, else None.
         transmitted: the largest that each coupling of `forces.transmitting` has transmitted in its
             steps [N m, N]; None: not recorded.
-        under_way: for the same interval again, whose end is not reached where the first of these is
-            true; None: the end is reached.
+        under_way: a tuple that the same interval takes again, whose end is not reached where the
+            first of it is true; None: the end is reached.
     """
 
     state: State
