@@ -50,8 +50,11 @@ class Scaled(NamedTuple):
 
 def scaled_contacts(problem: FrictionContact) -> Scaled:
     """A problem in units of its own."""
-    starts, acts = problem.starts, problem.acts
+    starts = problem.starts
     spans = list(pairwise(starts))
+    # A contact without a normal (concentric parts) answers nothing.
+    answers = [jnp.broadcast_to(problem.delassus[a][a] > 0, (b - a,)) for a, b in spans]
+    acts = problem.acts & jnp.concatenate(answers)
     diagonal = jnp.stack([row[k] for k, row in enumerate(problem.delassus)])
     heaviest = jnp.max(jnp.where(acts, diagonal, 0.0))
     weight = jnp.where(heaviest > 0, heaviest, 1.0)
@@ -110,11 +113,7 @@ def laws_missed(problem: FrictionContact, r: Array, regular: float = REGULAR) ->
     Returns:
         what is missed, an array (m,) [1].
     """
-    # A contact without a normal (concentric parts) answers nothing.
-    answers = jnp.stack([problem.delassus[k][k] > 0 for k in problem.starts[:-1]])
-    active = answers if problem.active is None else problem.active & answers
-    data = problem.delassus, problem.free_velocity, problem.mu
-    scaled = scaled_contacts(FrictionContact(*data, problem.sizes, active))
+    scaled = scaled_contacts(problem)
     parts = problem.split(r / (scaled.size / scaled.weight))
     flat = jnp.concatenate(parts)
     laws = [

@@ -252,6 +252,14 @@ def test_a_contact_that_may_not_act_does_nothing():
     assert float(found.residual) < 1e-10
 
 
+def test_a_contact_without_a_normal_leaves_nothing_unsolved():
+    """As of concentric parts that are moved apart: a step ended for laws that were not met."""
+    problem = FrictionContact(np.diag([1.0, 0.0]), np.array([-1.0, 0.1]), np.zeros(2))
+    step = SWEEPS.iterate(problem)
+    np.testing.assert_allclose(step.z, [1.0, 0.0], atol=1e-12)
+    assert float(step.residual) < 1e-12
+
+
 @pytest.mark.parametrize("restitution", [0.0, 0.6, 1.0])
 def test_two_balls_exchange_momentum_as_newton_says(restitution):
     """Free velocities with e v_n before added: closing 3 m/s, opening 3 e m/s; P = (1 + e) m1 m2 /

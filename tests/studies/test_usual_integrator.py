@@ -110,7 +110,6 @@ def test_a_study_of_the_four_bar_is_right_and_warns_of_nothing():
     )
     found, exact = (jc.monte_carlo(each, 24) for each in (asked, tight))
     assert not found.warned.size and asked.why_integrator in found.sentence()
-    assert found.sentence().endswith(asked.why_integrator)
     for name, values in exact.responses.items():
         np.testing.assert_allclose(found.responses[name].mean(), values.mean(), rtol=WITHIN)
         np.testing.assert_allclose(found.responses[name], values, rtol=2 * WITHIN)
