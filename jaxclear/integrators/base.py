@@ -20,7 +20,7 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxclear.formulations.base import AbstractFormulation
 from jaxclear.formulations.contact_rows import TimeStep
 from jaxclear.formulations.model import Model, State
-from jaxclear.ground.quantity import AbstractQuantified, Scalar
+from jaxclear.ground.quantity import AbstractQuantified, Scalar, on_device, on_host, with_fields
 from jaxclear.integrators.checks import Outcome
 from jaxclear.integrators.events import Events, Peaks, Watch, watch_from, watched
 from jaxclear.multibody.mechanism import Mechanism
@@ -320,6 +320,11 @@ class AbstractIntegrator(AbstractQuantified):
 SLIVER = 1e-9
 # More steps than any run takes: at 200 ns each, a kernel's fastest, two days.
 MOST_STEPS = 1e12
+
+
+def with_step_times(integrator: Any, share: Scalar) -> Any:
+    """An integrator with a `step` of this share of its own [1]."""
+    return with_fields(integrator, step=on_device(share * on_host(integrator.step)))
 
 
 def divide(interval: Interval, step: Any, fixed: int | None = None) -> tuple[Any, Any]:

@@ -26,10 +26,7 @@ from jaxclear.ground.quantity import (
     concrete,
     constant,
     count,
-    on_device,
-    on_host,
     quantity,
-    with_fields,
 )
 from jaxclear.integrators import munthe_kaas
 from jaxclear.integrators.base import (
@@ -44,6 +41,7 @@ from jaxclear.integrators.base import (
     divide,
     resolved,
     take_up,
+    with_step_times,
 )
 from jaxclear.integrators.events import among, no_peaks, risen, since, watch_from, watched
 from jaxclear.integrators.munthe_kaas import state_group
@@ -259,7 +257,7 @@ class FixedStep(AbstractIntegrator):
     def with_finer_steps(self, share):
         if self.steps_per_save is not None:
             return None
-        return with_fields(self, step=on_device(share * on_host(self.step)))
+        return with_step_times(self, share)
 
     @property
     def opens_loops(self):

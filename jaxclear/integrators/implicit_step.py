@@ -18,16 +18,15 @@ from jaxclear.formulations.model import Model, State
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.grouping import packed, unpacked, unstacked
 from jaxclear.ground.numerics import positive_part
-from jaxclear.ground.quantity import (
-    Scalar,
-    constant,
-    count,
-    on_device,
-    on_host,
-    quantity,
-    with_fields,
+from jaxclear.ground.quantity import Scalar, constant, count, quantity
+from jaxclear.integrators.base import (
+    AbstractIntegrator,
+    arrived,
+    counted,
+    divide,
+    march,
+    with_step_times,
 )
-from jaxclear.integrators.base import AbstractIntegrator, arrived, counted, divide, march
 from jaxclear.integrators.events import Peaks, among, no_peaks, risen, since, watch_from, watched
 from jaxclear.integrators.variational import (
     BESIDE,
@@ -106,7 +105,7 @@ class ImplicitStep(AbstractIntegrator):
     def with_finer_steps(self, share):
         if self.steps_per_save is not None:
             return None
-        return with_fields(self, step=on_device(share * on_host(self.step)))
+        return with_step_times(self, share)
 
     @property
     def formulation(self):

@@ -43,7 +43,7 @@ from jaxclear.formulations.unilateral import MoreauJeanSettings
 from jaxclear.ground.grouping import packed, unpacked
 from jaxclear.ground.numerics import safe_divide
 from jaxclear.ground.outcome import Unknown
-from jaxclear.ground.quantity import Scalar, on_device, on_host, quantity, with_fields
+from jaxclear.ground.quantity import Scalar, quantity
 from jaxclear.ground.tangents import (
     allow_first_derivative,
     apply_if,
@@ -52,7 +52,14 @@ from jaxclear.ground.tangents import (
     moving_with,
     pushed,
 )
-from jaxclear.integrators.base import RIGID, AbstractIntegrator, Interval, divide, searching_steps
+from jaxclear.integrators.base import (
+    RIGID,
+    AbstractIntegrator,
+    Interval,
+    divide,
+    searching_steps,
+    with_step_times,
+)
 from jaxclear.integrators.derivative_error import IMPACT_FIGURES, NO_SECOND, trusted_impacts
 from jaxclear.integrators.saltation import FIRST
 from jaxclear.multibody.length_scales import gaps_crossed
@@ -335,7 +342,7 @@ class MoreauJean(AbstractIntegrator):
     project: bool = eqx.field(static=True, default=True, kw_only=True)
 
     def with_finer_steps(self, share):
-        return with_fields(self, step=on_device(share * on_host(self.step)))
+        return with_step_times(self, share)
 
     @property
     def formulation(self):

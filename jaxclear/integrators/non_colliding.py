@@ -9,8 +9,13 @@ import equinox as eqx
 from jaxclear.formulations.joint_friction import NonCollidingSettings
 from jaxclear.formulations.loop_closing import closed
 from jaxclear.formulations.permanent import PermanentContact
-from jaxclear.ground.quantity import Scalar, on_device, on_host, quantity, with_fields
-from jaxclear.integrators.base import PERMANENT, AbstractIntegrator, searching_steps
+from jaxclear.ground.quantity import Scalar, quantity
+from jaxclear.integrators.base import (
+    PERMANENT,
+    AbstractIntegrator,
+    searching_steps,
+    with_step_times,
+)
 
 # Last change of friction in a search, relative to its bound, beyond which it may be far from the
 # solution.
@@ -66,7 +71,7 @@ class NonColliding(AbstractIntegrator):
     regularised: bool = eqx.field(static=True, default=False, kw_only=True)
 
     def with_finer_steps(self, share):
-        return with_fields(self, step=on_device(share * on_host(self.step)))
+        return with_step_times(self, share)
 
     @property
     def formulation(self):
