@@ -40,7 +40,7 @@ def unit_of_field(metadata: Mapping[str, Any]) -> str:
     return metadata.get("unit", "1")
 
 
-def in_part(part: Any, metadata: Mapping[str, Any]) -> Mapping[str, Any]:
+def specify_unit(part: Any, metadata: Mapping[str, Any]) -> Mapping[str, Any]:
     """The metadata of a field: of a stiffness by the exponent of its law, with that in the unit."""
     if not metadata.get("unit", "").endswith("^exponent"):
         return metadata
@@ -96,10 +96,8 @@ def fields_in_words(part: Any, unit: Unit = unit_of_field) -> Iterator[tuple[str
         value = getattr(part, field.name)
         empty = isinstance(value, (str, tuple, dict)) and not value
         if value is not None and not empty:
-            yield (
-                field.name,
-                f"{field.name} {_format_value(value, in_part(part, field.metadata), unit)}",
-            )
+            text = _format_value(value, specify_unit(part, field.metadata), unit)
+            yield field.name, f"{field.name} {text}"
 
 
 def _format_value(value: Any, metadata: Mapping[str, Any], unit: Unit) -> str:

@@ -44,7 +44,7 @@ from jaxtyping import Array, Float
 
 from jaxclear.ground.argument_errors import AnsweringMeta
 from jaxclear.ground.precision import check_double_precision, check_not_forked
-from jaxclear.ground.printing import AbstractShown, in_part, part_in_words
+from jaxclear.ground.printing import AbstractShown, part_in_words, specify_unit
 from jaxclear.ground.wording import described, final_members, offered_like, public_name
 
 # Things that a function of Python's encloses, of which no more are looked at.
@@ -686,7 +686,7 @@ def _iterate_numbers(tree, path, metadata):
             inner = f"{path}.{name}" if path else name
             value = getattr(tree, name)
             if isinstance(value, jax.Array):
-                yield inner, value, in_part(tree, field_metadata)
+                yield inner, value, specify_unit(tree, field_metadata)
             elif value is not None:
                 yield from _iterate_numbers(value, inner, field_metadata)
     elif isinstance(tree, dict):

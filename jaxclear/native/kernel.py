@@ -210,8 +210,16 @@ def _assembled(
 
 
 def build(program: Program, lanes: int, is_run_once: bool = False) -> Kernel:
-    """Compile and make known, and check where that is asked for; what runs once is not optimised.
-    Raises `Unsupported`."""
+    """Compile and make known, and check where that is asked for.
+
+    Args:
+        program: of the loop.
+        lanes: number of samples that the kernel takes at once.
+        is_run_once: whether it runs once, and so is not optimised.
+
+    Raises:
+        Unsupported: a part of the program has no machine code.
+    """
     dispatch.register_with_xla()
     free_the_unused()
     name, number, text = _assembled(program, lanes, is_run_once=is_run_once)

@@ -399,8 +399,18 @@ class Turn:
         return now._replace(state=state, worn=worn, read=read)
 
     def motion(self, now: Carry, span: Span, under_way: Any = None) -> tuple:
-        """(what is handed on but for worn surfaces, a `Carry`; what these lose, `Losses`; events;
-        steps under way, as of an `Interval`: where there are some the others are not valid yet)."""
+        """The motion through an interval, without the wear of surfaces.
+
+        Args:
+            now: state at its start, a `Carry`.
+            span: the interval.
+            under_way: steps of it that are under way, a tuple as of an `Interval`; None: it is gone
+                through at once.
+
+        Returns:
+            what is handed on but for worn surfaces, a `Carry`; what these lose, `Losses`; events;
+            steps under way: where there are some the others are not valid yet.
+        """
         if self.report:
             jax.debug.callback(progress.advance, span.progress)
         model, layout = self.model, self.model.layout
