@@ -273,8 +273,8 @@ def differences(
                 places = [names[k] for k in ks]
                 rows += _by_place(f"{kind} transmitted", part, unit, places, a, b, c, least)
     if one.friction_loss is not None:
-        loss, less, last = (float(each.friction_loss) for each in (one, other, finest))
-        scale = max(last, LEAST_LOSS * float(finest.turnover)) or max(loss, less)
+        loss, less, last = (float(np.asarray(each.friction_loss)) for each in (one, other, finest))
+        scale = max(last, LEAST_LOSS * float(np.asarray(finest.turnover))) or max(loss, less)
         if max(loss, less) > 0:
             row = "friction loss", "losses", "", "J", loss, abs(loss - less), scale
             rows.append(Difference(*row))
@@ -306,11 +306,11 @@ def _largest_angle(one: Any, other: Any) -> float:
 def _gap_differences(run: Trajectory, one: Observables, other: Observables) -> list[Difference]:
     if one.in_gaps is None:
         return []
-    off = np.max(np.abs(one.in_gaps - other.in_gaps), axis=(0, 2))
+    off = np.max(np.abs(np.asarray(one.in_gaps) - np.asarray(other.in_gaps)), axis=(0, 2))
     joints = list(run.formulation.contact_joints(run.mechanism))
-    names = [joints[owner] for owner in one.owners]
+    names = [joints[owner] for owner in np.asarray(one.owners)]
     largest: dict[str, tuple[float, float]] = {}
-    for name, share, gap in zip(names, off, one.rooms, strict=True):
+    for name, share, gap in zip(names, off, np.asarray(one.rooms), strict=True):
         largest[name] = max(largest.get(name, (0.0, 0.0)), (float(share), float(gap)))
     return [
         Difference("places in the gap", "gaps", name, "m", gap, share * gap, gap)
@@ -344,4 +344,4 @@ def distance_in_gaps(one: Observables, other: Observables) -> Float[np.ndarray, 
     """By saving time how far parts are elsewhere in their gaps, beside these; 0 without gaps."""
     if one.in_gaps is None:
         return np.zeros(len(one.centres))
-    return np.max(np.abs(one.in_gaps - other.in_gaps), axis=(1, 2))
+    return np.max(np.abs(np.asarray(one.in_gaps) - np.asarray(other.in_gaps)), axis=(1, 2))
