@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+
 # So many samples of a Monte Carlo are told one by one; the table on disk has them all.
 MOST_SENTENCES = 5
 DOTS_PER_INCH = 130
@@ -29,7 +31,9 @@ class StudyFolder:
     def write_figures(self, **figures: Any) -> None:
         """Figures by the names of their files (PNG)."""
         for name, figure in figures.items():
-            figure.savefig(self.path / f"{self.prefix}{name}.png", dpi=DOTS_PER_INCH)
+            figure.set_dpi(DOTS_PER_INCH)
+            # `savefig` draws all of it twice.
+            FigureCanvasAgg(figure).print_png(self.path / f"{self.prefix}{name}.png")
         self.count["figures"] += len(figures)
 
     def sentence(self, also: str = "") -> str:

@@ -7,6 +7,7 @@ would fall, and a cycle would go to its settling.
 """
 
 import dataclasses
+import functools
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -63,10 +64,9 @@ class Rates:
         self.settlings: list[Settling] = []
         self.simulated = 0
         self.last_run: Any = None
-        self.kind: Any = None
+        self.kind = functools.cache(lambda: kind_of_cycle(self.request, self.motion, self.worn))
         if self.store is not None:
             self.question = compute_address(in_texts(problem), np.asarray(values))
-            self.kind = kind_of_cycle(self.request, self.motion, self.worn)
 
     def evaluate(self, row: np.ndarray, set_down: bool = False) -> Rate:
         """What a cycle wears on surfaces of these depths; not the one in which the machine is

@@ -10,11 +10,14 @@ import equinox as eqx
 import jax
 import numpy as np
 from jax.flatten_util import ravel_pytree
+from jaxtyping import Array
 
+from jaxclear.components.wear_map import AbstractWearMap
 from jaxclear.ground.arguments import check_name, check_number
 from jaxclear.ground.printing import LEAST_ERROR_SHARE, with_text_repr
 from jaxclear.integrators.checks import Checks
 from jaxclear.multibody.system import wearing_in
+from jaxclear.native.compiled import compiled_quickly
 from jaxclear.results.response import depends_on
 from jaxclear.results.state_history import State
 from jaxclear.simulation.wear import Worn
@@ -40,6 +43,14 @@ def _percent(error: float) -> str:
     """A relative error in words: one that is rounding is none to be seen."""
     least = LEAST_ERROR_SHARE
     return f"{100 * error:.2g} %" if not error < least else f"better than {100 * least:.4f} %"
+
+
+def _deepest_place(wear_map: AbstractWearMap, depth: Array) -> Array:
+    """Depth of the deepest place of a map."""
+    return wear_map.deepest(depth)
+
+
+_read_deepest = compiled_quickly(_deepest_place, {})
 
 
 class Stage(NamedTuple):
@@ -264,7 +275,7 @@ class WearLife(AbstractAnswer):
     def _deepest(self, joint: str, surface: str) -> Callable[[np.ndarray], Any]:
         """The depth of the deepest place of a surface, of the cells in a row."""
         wear_map = wearing_in(self.problem.mechanism)[joint].maps()[surface][0]
-        return jax.jit(lambda row: wear_map.deepest(row.reshape(wear_map.cells)))
+        return lambda row: _read_deepest(wear_map, row.reshape(wear_map.cells))
 
     def _row_at(self) -> Callable[[float], np.ndarray]:
         """Depths of all cells and mean depths of all surfaces, in a row, over cycles: volumes by

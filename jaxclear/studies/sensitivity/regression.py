@@ -138,6 +138,19 @@ def widened(
     return float(np.hypot(seen_error, UNSEEN / count * rms * min(1.0, parts / deciding)))
 
 
+def no_regression(sample: MonteCarlo, direction: Direction) -> str:
+    """Why a sample tells no derivative by regression; "" where it does."""
+    problem = sample.problem
+    values = np.delete(sample.values, sample.failed, axis=0)
+    if len(values) < 2 * len(problem.names) + FEWEST:
+        return (
+            f"{len(values)} good samples are too few for a fit in {len(problem.names)} variables."
+        )
+    if np.ptp(values[:, direction.variable]) == 0:
+        return "the variable does not vary in the sample."
+    return no_score_function(problem, direction)
+
+
 def no_score_function(problem: Problem, direction: Direction) -> str:
     """Why the score function does not tell a derivative; "" where it does."""
     inputs, i = problem.inputs, direction.variable
@@ -237,16 +250,12 @@ def regressions(
         direction: variable and number that is differentiated by.
         functionals: statistics that are differentiated.
         ends: runs at the ends of the variable; None: it has none.
-        outer: runs further out; None where the direction has no score function.
+        outer: runs further out; None where there is no regression.
     """
     problem, i = sample.problem, direction.variable
     good = np.isin(np.arange(sample.count), sample.failed, invert=True)
     values, group = sample.values[good], sample.scrambling[good]
-    why = no_score_function(problem, direction)
-    if len(values) < 2 * len(problem.names) + FEWEST:
-        why = f"{len(values)} good samples are too few for a fit in {len(problem.names)} variables."
-    elif np.ptp(values[:, i]) == 0:
-        why = "the variable does not vary in the sample."
+    why = no_regression(sample, direction)
     if why:
         return {one.label: refused(why) for one in functionals}
     assert outer is not None

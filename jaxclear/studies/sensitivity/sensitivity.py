@@ -36,7 +36,7 @@ from jaxclear.studies.sensitivity.estimand import Direction, Functional, directi
 from jaxclear.studies.sensitivity.pathwise import pathwise
 from jaxclear.studies.sensitivity.regression import (
     Ends,
-    no_score_function,
+    no_regression,
     regressions,
     runs_at_ends,
     runs_outside,
@@ -112,16 +112,17 @@ def sensitivity(
     ends: dict[int, Ends | None] = {}
     bar = {"progress_bar": progress_bar}
     outer = None
-    # Where no direction has a score function no regression would see them.
-    if "regression" in methods and not all(no_score_function(problem, d) for d in all_directions):
+    refusals = {d: no_regression(drawn, d) for d in all_directions}
+    # Where all are refused no regression would see them.
+    if "regression" in methods and not all(refusals.values()):
         outer = runs_outside(problem, drawn.scrambling, seed_of(seed, SEEDS, 4), **bar)
     for direction in all_directions:
         answers: dict[str, dict[str, Estimate]] = {}
         if "regression" in methods:
             place, parts = direction.variable, len(np.unique(drawn.scrambling))
-            if place not in ends:
+            if place not in ends and not refusals[direction]:
                 ends[place] = runs_at_ends(problem, place, parts, seed_of(seed, SEEDS, 3), **bar)
-            answers["regression"] = regressions(drawn, direction, estimands, ends[place], outer)
+            answers["regression"] = regressions(drawn, direction, estimands, ends.get(place), outer)
         sampled = lambda d: _draw_sample(problem, difference_samples, seed_of(seed, SEEDS, d))
         if "pathwise" in methods:
             answers["pathwise"] = pathwise(problem, sampled(2), direction, estimands, **bar)

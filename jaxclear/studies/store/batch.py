@@ -342,7 +342,8 @@ class _Saved:
         self.addresses = [compute_address(question, piece) for piece in pieces]
         self.kind: Any = None
         if function is not evaluate_chunk:
-            self.kind = eqx.filter_eval_shape(function, problem, jnp.asarray(pieces[0]))
+            shapes_of, values = eqx.filter_eval_shape, jnp.asarray(pieces[0])
+            self.kind = functools.cache(lambda: shapes_of(function, problem, values))
 
     def load(self, number: int) -> Any:
         chunk = self.store.load(self.addresses[number])
@@ -364,11 +365,14 @@ def as_arrays(tree: Any) -> dict[str, Any]:
     return {str(i): leaf for i, leaf in enumerate(jax.tree.leaves(tree))}
 
 
-def as_tree(kind: Any, chunk: Chunk | None) -> Any:
-    """The tree like `kind`, which has shapes in place of arrays, whose arrays a chunk holds; None
-    where it holds others, or there is none."""
-    leaves, tree = jax.tree.flatten(kind)
-    arrays = [] if chunk is None else [*chunk.arrays.values()]
+def as_tree(kind: Callable[[], Any], chunk: Chunk | None) -> Any:
+    """The tree whose arrays a chunk holds, like that of `kind`, which has shapes in place of
+    arrays; None where it holds others, or there is none. Shapes take tracing what is computed, so
+    they are asked for where a chunk is there."""
+    if chunk is None:
+        return None
+    leaves, tree = jax.tree.flatten(kind())
+    arrays = [*chunk.arrays.values()]
     if [(a.shape, a.dtype) for a in arrays] != [(a.shape, a.dtype) for a in leaves]:
         return None
     return jax.tree.unflatten(tree, arrays)
