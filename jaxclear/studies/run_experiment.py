@@ -394,7 +394,7 @@ def _lengths(mechanism: Mechanism) -> tuple[Array, Array, Array]:
 @compiled_for_kernels
 def _run_nominal(experiment: RunExperiment) -> Trajectory:
     """The run of the mechanism as it is."""
-    return experiment.started(lambda mechanism: mechanism)[2]
+    return experiment.started(Setting((), (), jnp.zeros(0)))[2]
 
 
 def _answers(experiment: RunExperiment, setting: Setting, discrete: bool) -> SampleResult:
