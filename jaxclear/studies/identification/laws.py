@@ -72,7 +72,7 @@ class ChosenFriction(AbstractSlipFriction):
         return getattr(self.stated, name)
 
     def _laws(self) -> tuple[AbstractSlipFriction, ...]:
-        coefficient = self.stated.mu_kinetic
+        coefficient = _coefficient(self.stated)
         return (self.stated, *(_with(one, "mu_kinetic", coefficient) for one in self.others))
 
     def coulomb(self):
@@ -84,6 +84,10 @@ class ChosenFriction(AbstractSlipFriction):
 
     def coefficient(self, slip_speed):
         return _choose_value([law.coefficient(slip_speed) for law in self._laws()], self.choice)
+
+
+def _coefficient(law: Any) -> Any:
+    return law.mu_kinetic
 
 
 def _with(law: Any, number: str, value: Any) -> Any:
