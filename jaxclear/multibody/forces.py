@@ -399,6 +399,25 @@ def force_of(
     return jnp.asarray(load.transmitted(effect) if coupled else effect.forces[0], float)
 
 
+def forces_of_load(
+    system: System, motions: tuple[Motion, ...], name: str, time: Any, followed: Followed
+) -> Any:
+    """All that a load or force coupling gives at an instant [N, N m], nested tuples of numbers.
+
+    Args:
+        system: prepared mechanism, as `prepare` returns it.
+        motions: motion of every link at one instant, in the order of `system.links`.
+        name: of the load or coupling.
+        time: instant [s].
+        followed: whole-turn angles, load states and flanks.
+    """
+    load = system.loads[name]
+    if isinstance(load, AbstractBodyLoad):
+        actions = effect_of(system, name, load, motions, time).actions
+        return tuple((action.force, action.torque) for action in actions)
+    return load_rows(system, motions, name, time, followed)[0].forces
+
+
 def transmitting(system: System) -> tuple[str, ...]:
     """The couplings whose force follows from the state."""
     loads = (n for n, load in coordinate_loads(system) if isinstance(load, AbstractForceCoupling))

@@ -225,7 +225,7 @@ STUDIES = {
     ),
     "sobol_indices": lambda p, **how: jc.sobol_indices(p, 16, **how),
     "shapley_effects": lambda p, **how: jc.shapley_effects(p, 32, **how),
-    "surface": lambda p, **how: jc.surface(p, 32, slopes=True, **how),
+    "surface": lambda p, **how: jc.surface(p, 32, **how),
     "corrected_statistics": lambda p, **how: jc.corrected_statistics(jc.surface(p, 32), 8, **how),
     "multi_fidelity": lambda p, **how: jc.multi_fidelity(p, rough(0.9), 256, **how),
     "reliability": lambda p, **how: jc.reliability(
