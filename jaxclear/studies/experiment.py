@@ -309,8 +309,8 @@ class AbstractExperiment(AbstractQuantified):
         """By response that reads cells how much it is too large by them, (samples,), in its unit.
 
         Args:
-            result: of samples.
-            wider: of the same on wider cells.
+            result: result of samples.
+            wider: result of the same on wider cells.
         """
         return {}
 
