@@ -145,24 +145,24 @@ def case_of(scene: Posed, side: Any, angles: dict[str, Any], how: Rounded) -> Ca
     return Case(prepare(scene.mechanism), side, angles, how)
 
 
-def _motions_at_rest(system: System, q: Array) -> tuple[tuple, tuple, tuple[Motion, ...]]:
-    """Coordinates and speeds by link, and the motion of every link at rest."""
+def _motions_at_rest(system: System, q: Array) -> tuple[tuple, tuple[Motion, ...]]:
+    """Coordinates by link, and the motion of every link at rest."""
     still = (0,) * system.topology.speed_count
     places, rates = unpack_motion(system, [*q, *still])
-    return places, rates, kinematics.link_motions(system, places, rates, 0.0)
+    return places, kinematics.link_motions(system, places, rates, 0.0)
 
 
 def work(case: Case, q: Array) -> Float[Array, " v"]:
     """Forces of loads and springs along the free speeds [N m, N]."""
-    places, rates, motions = _motions_at_rest(case.system, q)
-    system, forces = acting(case.system, motions, places, rates, case.side, case.angles)
+    motions = _motions_at_rest(case.system, q)[1]
+    system, forces = acting(case.system, motions, case.side, case.angles)
     return -sp.stack(unheld(system, forces))
 
 
 def restraints(case: Case, q: Array) -> tuple[Array, Array]:
     """What is left of the loops' closure [m, 1], and the gaps of all contacts [m]."""
     system = case.system
-    motions = _motions_at_rest(system, q)[2]
+    motions = _motions_at_rest(system, q)[1]
     rows = [rows_of.residuals for rows_of in loop_rows(system, motions)]
     gaps: list[Any] = []
     for name, bearing in system.bearings.items():
@@ -199,7 +199,7 @@ def measures_of(case: Case, q: Array) -> Measures:
     system = case.system
     arm = jax.lax.stop_gradient(longest_arm(system))
     speeds = speed_scales(system, arm)
-    motions = _motions_at_rest(system, q)[2]
+    motions = _motions_at_rest(system, q)[1]
     each = zip(system.closures, loop_rows(system, motions), strict=True)
     units = [x for closure, u in each for x in constraints.measures(closure, u, arm)]
     rooms = _gaps_in_middle(case)
@@ -228,7 +228,7 @@ def play(case: Case, measures: Measures) -> Any:
 
 def angles_near(case: Case, q: Array) -> dict[str, Any]:
     """Angles [rad] of joints outside the tree on which loads act, near those of the case."""
-    motions = _motions_at_rest(case.system, q)[2]
+    motions = _motions_at_rest(case.system, q)[1]
     return {
         name: closure_coordinates.read(case.system, name, motions, near).position
         for name, near in case.angles.items()
@@ -246,8 +246,8 @@ def rest_at(case: Case, q: Array, multipliers: Array, pushes: Array) -> Resting:
         multipliers: of the loops [N, N m].
         pushes: normal force [N] at each gap, joint after joint.
     """
-    places, rates, motions = _motions_at_rest(case.system, q)
-    system, forces = acting(case.system, motions, places, rates, case.side, case.angles)
+    places, motions = _motions_at_rest(case.system, q)
+    system, forces = acting(case.system, motions, case.side, case.angles)
     contacts, first = list[Row](), 0
     for name, bearing in system.bearings.items():
         pose = kinematics.relative_motion(bearing.closure, motions)[1]
@@ -267,7 +267,7 @@ def rest_at(case: Case, q: Array, multipliers: Array, pushes: Array) -> Resting:
 
 def journal_offsets(case: Case, q: Array) -> dict[str, Array]:
     """Where each journal lies: offset (x, y, z) [m] and slope (dx/dz, dy/dz) of its axis [1]."""
-    motions = _motions_at_rest(case.system, q)[2]
+    motions = _motions_at_rest(case.system, q)[1]
     out = {}
     for name, bearing in case.system.bearings.items():
         pose = kinematics.relative_motion(bearing.closure, motions)[1]
@@ -280,7 +280,7 @@ def journal_offsets(case: Case, q: Array) -> dict[str, Array]:
 def list_residuals(case: Case, q: Array) -> tuple[dict[str, Any], dict[str, Any]]:
     """By how much each loop is open [m, 1], by the joint that closes it, and how deep each journal
     lies in its bearing [m]."""
-    motions = _motions_at_rest(case.system, q)[2]
+    motions = _motions_at_rest(case.system, q)[1]
     deep = {}
     for name, bearing in case.system.bearings.items():
         pose = kinematics.relative_motion(bearing.closure, motions)[1]

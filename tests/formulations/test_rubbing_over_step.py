@@ -8,7 +8,6 @@ import pytest
 import jaxclear as jc
 from tests.formulations.test_joint_friction import (
     BRAKING,
-    INERTIA,
     LAW,
     LENGTH,
     LOAD,
@@ -40,23 +39,6 @@ def test_a_bearing_is_braked_and_held_in_steps_far_longer_than_friction_takes():
     volume = RATE * LOAD / np.sqrt(1 + MU**2) * slid
     np.testing.assert_allclose(run.worn_volume("B", "bearing")[-1], volume, rtol=0.01)
     np.testing.assert_allclose(run.contact_impulse("B")[-1], 0.1 * LOAD, rtol=0.01)
-
-
-def driven():
-    """A rotor that a drive keeps turning against the friction of its bearing."""
-    drive = jc.drive.ConstantSpeed(SPEED)
-    return rotor(STEEP, None, length=LENGTH, drive=drive)
-
-
-@pytest.mark.slow
-def test_a_drive_gives_what_the_bearing_that_it_turns_takes():
-    run = jc.simulate(
-        driven(), 0.1, integrator=jc.integrator.ImplicitStep(1e-3), save=3, balance=True
-    )
-    given = run.energy_balance()
-    work = BRAKING * INERTIA * SPEED * 0.1
-    np.testing.assert_allclose([given.input[-1], given.friction_loss[-1]], work, rtol=1e-6)
-    assert float(np.abs(given.error).max()) < 1e-9 * work
 
 
 def driven_crank(friction=SMOOTH):
