@@ -8,8 +8,8 @@ answer, and must itself be harmless (nearly zero, never 1). All take and return 
 are smooth under `vmap`, and define their derivative at the guarded point.
 
 Where a function has a rule of its own for its derivative, its formula has the same one: a second
-derivative in reverse mode through `jax.lax.scan` goes through the formula, because JAX forgets rules
-of what it takes out of the scan.
+derivative through `jax.lax.scan`, the first of both in reverse mode, goes through the formula,
+because JAX forgets the rules of what is known there.
 """
 
 import jax
