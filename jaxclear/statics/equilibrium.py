@@ -32,6 +32,7 @@ from jaxclear.multibody.start_equations import retract
 from jaxclear.multibody.state import unpack_motion
 from jaxclear.multibody.system import System, longest_arm, prepare
 from jaxclear.multibody.tree import Motion, Wrench
+from jaxclear.native.compiled import compiled_quickly
 from jaxclear.statics.quasi_static import Posed, acting, loop_rows, open_loops, reactions_of, unheld
 
 # Of the slope [1] of a gap at the middle, beside 1: rounding.
@@ -90,7 +91,7 @@ class Rounded(eqx.Module):
             joint: geometry of the clearance.
             depths: indentation of each possible contact [m].
         """
-        middles = _overlaps_at_middle(joint)
+        middles = _overlaps_of(joint, jnp.zeros(6))
         out: list[Any] = []
         for level, depth, middle in zip(self.level[name], depths, middles, strict=True):
             gap = sp.neg(depth)
@@ -100,14 +101,18 @@ class Rounded(eqx.Module):
 
 def rounded(mechanism: Any) -> Rounded:
     """Of a mechanism with numbers."""
-    radii = {}
+    levels = {}
     for name in mechanism.topology.clearances:
-        joint = mechanism.connections[name].joint
-        slopes = jax.jacfwd(lambda place, joint=joint: jnp.stack(_overlaps_of(joint, place)))
-        steep = np.abs(np.asarray(slopes(jnp.zeros(6)))).max(axis=1)
-        roomy = -np.asarray(jnp.stack(_overlaps_at_middle(joint))) > 0
-        radii[name] = tuple(bool(x) for x in (steep < LEVEL) & roomy)
-    return Rounded(radii)
+        steep, middle = _overlaps_at_middle(mechanism.connections[name].joint)
+        levels[name] = tuple(map(bool, (np.asarray(steep) < LEVEL) & (np.asarray(middle) < 0)))
+    return Rounded(levels)
+
+
+@compiled_quickly
+def _overlaps_at_middle(joint: AbstractClearance) -> tuple[Array, Array]:
+    """Of each overlap in the middle the largest slope [1], and itself [m]."""
+    overlaps, middle = lambda place: jnp.stack(_overlaps_of(joint, place)), jnp.zeros(6)
+    return jnp.abs(jax.jacfwd(overlaps)(middle)).max(axis=1), overlaps(middle)
 
 
 def _overlaps_of(joint: AbstractClearance, place: Array) -> list:
@@ -117,10 +122,6 @@ def _overlaps_of(joint: AbstractClearance, place: Array) -> list:
     axes = tuple(sp.plus(sp.cross(lean, sp.IDENTITY[k]), sp.IDENTITY[k]) for k in joint.axes)
     axes = tuple(tuple(jnp.asarray(x, float) for x in axis) for axis in axes)
     return [jnp.asarray(x, float) for x in joint.indentations(offset, axes, {})]
-
-
-def _overlaps_at_middle(joint: AbstractClearance) -> list:
-    return _overlaps_of(joint, jnp.zeros(6))
 
 
 class Case(NamedTuple):

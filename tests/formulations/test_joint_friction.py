@@ -103,22 +103,23 @@ def test_constant_friction_takes_the_same_from_every_half_swing(law, integrator)
     np.testing.assert_allclose(np.abs(run.coordinate("B")), 0.05 - lost, atol=2e-6)
 
 
-def crank(kind, at_slider=None, guess=None, **numbers):
-    """A crank, a rod and a slider that a spring holds back; friction in every joint, but another
-    one `at_slider` if that is given."""
+def crank(kind, at_slider=None, guess=None, drive=None, slide=None, **numbers):
+    """A crank, a rod and a slider; friction in every joint, but another one `at_slider` if that is
+    given. A spring holds the crank back, which turns freely or by its drive."""
     pin = kind(**numbers)
+    first = pin if drive is None else kind(**numbers, drive=drive)
     bar = lambda length: jc.Body(0.5, 0.5 * length**2 / 12, com=(0.5 * length, 0.0))
     return jc.Mechanism(
         {"crank": bar(0.1), "rod": bar(0.3), "slider": jc.Body(1.0, 1e-3)},
         {
-            "A": jc.Connection(pin, "ground", "crank"),
+            "A": jc.Connection(first, "ground", "crank"),
             "B": jc.Connection(pin, "crank", "rod", at=(0.1, 0.0)),
             "C": jc.Connection(at_slider or pin, jc.Marker("rod", (0.3, 0.0)), "slider"),
-            "D": jc.Connection(jc.joint.Prismatic(), "ground", "slider", axis="x"),
+            "D": jc.Connection(slide or jc.joint.Prismatic(), "ground", "slider", axis="x"),
         },
-        {"g": jc.load.Gravity(), "spring": jc.load.JointSpring("A", 5.0)},
-        start={"A": 1.0},
-        speeds={"A": 30.0},
+        {"g": jc.load.Gravity()} | ({} if drive else {"spring": jc.load.JointSpring("A", 5.0)}),
+        start={} if drive else {"A": 1.0},
+        speeds={} if drive else {"A": 30.0},
         guess=guess,
     )
 

@@ -42,22 +42,10 @@ def test_a_bearing_is_braked_and_held_in_steps_far_longer_than_friction_takes():
 
 
 def driven_crank(friction=SMOOTH):
-    """As `crank`, without its spring, turned by a drive; the slider rubs as well."""
-    pin = lambda **more: jc.joint.PlainBearing(friction, radius=RADIUS, **more)
-    bar = lambda length: jc.Body(0.5, 0.5 * length**2 / 12, com=(0.5 * length, 0.0))
-    return jc.Mechanism(
-        {"crank": bar(0.1), "rod": bar(0.3), "slider": jc.Body(1.0, 1e-3)},
-        {
-            "A": jc.Connection(pin(drive=jc.drive.ConstantSpeed(50.0)), "ground", "crank"),
-            "B": jc.Connection(pin(), "crank", "rod", at=(0.1, 0.0)),
-            "C": jc.Connection(pin(), jc.Marker("rod", (0.3, 0.0)), "slider"),
-            "D": jc.Connection(
-                jc.joint.Slideway(friction, length=0.05, width=0.03), "ground", "slider", axis="x"
-            ),
-        },
-        {"g": jc.load.Gravity()},
-        guess={"D": 0.4},
-    )
+    """Turned by a drive; the slider rubs as well."""
+    slide = jc.joint.Slideway(friction, length=0.05, width=0.03)
+    more = {"friction": friction, "radius": RADIUS, "slide": slide, "guess": {"D": 0.4}}
+    return crank(jc.joint.PlainBearing, drive=jc.drive.ConstantSpeed(50.0), **more)
 
 
 @pytest.mark.slow

@@ -18,6 +18,7 @@ from tests.formulations.test_joint_friction import (
     crank,
 )
 from tests.formulations.test_rubbing_over_step import STIFF, driven_crank, pendulum, with_play
+from tests.rigs.slider_cranks import slider_crank
 
 STEPS = jc.integrator.MoreauJean(1e-3)
 CLEARANCE, FALL, RESTITUTION = 1e-4, 1.0, 0.5
@@ -174,27 +175,13 @@ def test_derivatives_of_an_impact_that_rubs_are_those_of_its_closed_form():
 def test_joints_of_a_loop_that_stick_leave_sweeps_for_the_loads_that_they_carry():
     """As a crank is driven back all three stick in one step; more sweeps change nothing."""
     dry = jc.friction.Coulomb(mu_kinetic=0.2)
-    rig = jc.Mechanism(
-        {
-            "crank": jc.Body(1.0, 0.01, com=(0.1, 0.0)),
-            "rod": jc.Body(0.5, 0.005, com=(0.25, 0.0)),
-            "slider": jc.Body(2.0, 0.01),
-        },
-        {
-            "O": jc.Connection(jc.joint.PlainBearing(dry, radius=0.02), "ground", "crank"),
-            "A": jc.Connection(
-                jc.joint.PlainBearing(dry, radius=0.02), "crank", "rod", at=(0.2, 0.0)
-            ),
-            "B": jc.Connection(jc.joint.Revolute(), "rod", "slider", at=(0.5, 0.0)),
-            "G": jc.Connection(jc.joint.Slideway(dry), "ground", "slider", axis="x"),
-        },
-        {
-            "gravity": jc.load.Gravity(),
-            "push": jc.load.JointTorque("O", lambda t: 20.0 * jnp.cos(12 * t)),
-            "stop": jc.load.JointStop("G", lower=0.6, stiffness=1e5, restitution=0.4),
-        },
-        start={"O": 0.5},
-    )
+    loads = {
+        "gravity": jc.load.Gravity(),
+        "push": jc.load.JointTorque("O", lambda t: 20.0 * jnp.cos(12 * t)),
+        "stop": jc.load.JointStop("G", lower=0.6, stiffness=1e5, restitution=0.4),
+    }
+    pin, slide = jc.joint.PlainBearing(dry, radius=0.02), jc.joint.Slideway(dry)
+    rig = slider_crank(loads, 0.5, pin, slide)
     runs = [
         jc.simulate(
             rig, 0.14, save=2, integrator=jc.integrator.MoreauJean(1e-4, max_sweeps=n), verify=False

@@ -13,6 +13,7 @@ import pytest
 import jaxclear as jc
 from jaxclear.laws.rebound import damping_ratio_of, restitution_of
 from tests.rigs.cells import slow
+from tests.rigs.slider_cranks import slider_crank
 
 MASS, SPEED, GRAVITY = 2.0, 1.5, 10.0
 RIGID = jc.integrator.MoreauJean(1e-4)
@@ -470,26 +471,6 @@ def test_losses_beside_rigid_flanks_are_refused(integrator):
         jc.simulate(rig, 0.1, integrator=integrator)
 
 
-def slider_crank_near_its_dead_centre(angle, load):
-    """Crank and rod in line, but for this angle of the crank; the crank is pushed."""
-    turn = jc.joint.Revolute()
-    return jc.Mechanism(
-        {
-            "crank": jc.Body(1.0, 0.01, com=(0.1, 0.0)),
-            "rod": jc.Body(0.5, 0.005, com=(0.25, 0.0)),
-            "slider": jc.Body(2.0, 0.01),
-        },
-        {
-            "O": jc.Connection(turn, "ground", "crank"),
-            "A": jc.Connection(turn, "crank", "rod", at=(0.2, 0.0)),
-            "B": jc.Connection(turn, "rod", "slider", at=(0.5, 0.0)),
-            "G": jc.Connection(jc.joint.Prismatic(), "ground", "slider", axis="x"),
-        },
-        {"load": load, "push": jc.load.JointTorque("O", 20.0)},
-        start={"O": angle},
-    )
-
-
 SPRINGY = jc.load.JointStop("G", lower=0.55, stiffness=1e5, restitution=0.4)
 DRY = jc.load.JointFriction("G", 30.0)
 
@@ -506,10 +487,9 @@ DRY = jc.load.JointFriction("G", 30.0)
 def test_a_run_may_begin_in_a_dead_centre_where_nothing_moves_along_the_coordinate(
     load, integrator
 ):
-    runs = [
-        ran(slider_crank_near_its_dead_centre(angle, load), 0.15, integrator)
-        for angle in (0.0, 1e-6)
-    ]
+    """Crank and rod in line, and but for a small angle; the crank is pushed."""
+    loads = {"load": load, "push": jc.load.JointTorque("O", 20.0)}
+    runs = [ran(slider_crank(loads, angle), 0.15, integrator) for angle in (0.0, 1e-6)]
     exact, near = (np.asarray(run.coordinate("G")) for run in runs)
     assert np.abs(near - 0.7).max() > 0.1
     np.testing.assert_allclose(exact, near, rtol=0, atol=1e-5)

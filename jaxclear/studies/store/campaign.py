@@ -6,8 +6,7 @@ and its first samples get replicas.
 """
 
 import dataclasses
-import inspect
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -19,7 +18,6 @@ from tqdm import tqdm
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_count, check_flags, expect
 from jaxclear.ground.warning import warn
-from jaxclear.ground.wording import listed, meant
 from jaxclear.integrators.checks import Checks
 from jaxclear.studies.problem import Problem
 from jaxclear.studies.replicas import MOST_REPLICAS
@@ -39,8 +37,6 @@ OTHERWISE = (
     "is no compiled program, and a campaign keeps samples of one; ask jaxclear.monte_carlo(..., "
     "store=folder) for lives as responses, or jaxclear.wear_life_sample(..., store=folder)."
 )
-# What a campaign takes beside the arguments that it names.
-SAMPLED = ("sampling", "scramblings", "accuracy", "chunk")
 # Samples that are read together, about.
 READ = 1 << 16
 # Claimed by the process that adds replicas.
@@ -54,10 +50,13 @@ def campaign(
     *,
     folder: str | Path,
     seed: int = 0,
+    sampling: str = "sobol",
+    scramblings: int | None = None,
+    accuracy: float | Mapping[str, float] | None = None,
+    chunk: int | None = None,
     client: Any = None,
     verify: bool = True,
     progress_bar: bool = False,
-    **settings: Any,
 ) -> Campaign:
     """A Monte Carlo study of any size, stored in a folder chunk by chunk.
 
@@ -72,13 +71,17 @@ def campaign(
         folder: path of the folder. One of another problem or other samples is refused with the
             difference.
         seed: seed of the random numbers; 0 by default.
+        sampling: name of the method, "sobol" (default) or "random", as of `monte_carlo`.
+        scramblings: number of independent subsets of the sample, as of `monte_carlo`; None
+            (default) for its.
+        accuracy: required half width of the 95 % interval of each mean, a factor [1] or a
+            dictionary, as of `monte_carlo`; None (default) for none.
+        chunk: number of samples in a file; None (default) for what fits the memory.
         client: a `dask.distributed.Client` whose workers compute the chunks; None (default) for
             this process.
         verify: whether to repeat the first 16 samples with finer steps, as of `monte_carlo`; True
             by default.
         progress_bar: whether to show rate, remaining time and failures; False by default.
-        settings: further keyword arguments: `sampling`, `scramblings` and `accuracy` as of
-            `monte_carlo`, and `chunk`, the number of samples in a file.
 
     Returns:
         The `Campaign`.
@@ -87,25 +90,33 @@ def campaign(
         ValueError: if an argument is wrong.
     """
     check_flags("campaign", verify=verify, progress_bar=progress_bar)
-    plan = _make_plan(problem, samples, seed, settings)
-    accuracy = parse_accuracy(settings.get("accuracy"), problem.response_names, "campaign")
-    checked = ("seed", "sampling", "scramblings")[: 2 + ("scramblings" in settings)]
+    check_sampled(problem, samples, seed, sampling)
+    if not problem.cost().compiled:
+        raise ValueError(f"problem of campaign ({type(problem.experiment).__name__}) {OTHERWISE}")
+    if chunk is not None:
+        check_count("chunk of campaign", chunk)
+    goals = parse_accuracy(accuracy, problem.response_names, "campaign")
+    first = samples if goals is None else min(samples, FIRST_SAMPLES)
+    parts = checked_scramblings("campaign", first, scramblings)
+    first = first if goals is None else first_of(first, parts)
+    plan = planned(problem, (first, seed, sampling, parts), chunk, samples)
+    checked = ("seed", "sampling", "scramblings")[: 2 + (scramblings is not None)]
     check_folder(folder)
     try:
         with _make_workers(problem, client) as work:
             stored = _open_samples(problem, plan, checked, samples, folder)
             # The plan first: whatever ends the process from here on, the folder knows what was
             # asked of it.
-            if accuracy is None:
+            if goals is None:
                 stored = _enlarge_plan(stored, samples, samples, problem)
             if len(stored.finished()):
                 stored.warn_of_versions()
             run, short = _Run(work, stored, samples, progress_bar), ""
-            if accuracy is None:
+            if goals is None:
                 run.grow(samples)
             else:
                 first = max(plan.samples, stored.plan.samples)
-                short = until_accurate(problem, first, samples, accuracy, run.grown)
+                short = until_accurate(problem, first, samples, goals, run.grown)
             if verify:
                 _add_replicas(run.stored, work)
             run.stored.conclude()
@@ -148,29 +159,6 @@ def _make_workers(problem: Problem, client: Any) -> Iterator[AbstractWork]:
         yield workers
     finally:
         workers.close()
-
-
-def _make_plan(problem: Any, samples: Any, seed: Any, settings: dict[str, Any]) -> Plan:
-    """The plan to begin with. Raises `ValueError` or `TypeError` with a sentence."""
-    for name in settings:
-        if name not in SAMPLED:
-            names = [*inspect.signature(campaign).parameters][:-1]
-            raise TypeError(
-                f'jaxclear.campaign has no argument "{name}"; it takes '
-                f"{listed([*names, *SAMPLED])}.{meant(name, [*names, *SAMPLED])}"
-            )
-    sampling, scramblings = settings.get("sampling", "sobol"), settings.get("scramblings")
-    check_sampled(problem, samples, seed, sampling)
-    if not problem.cost().compiled:
-        raise ValueError(f"problem of campaign ({type(problem.experiment).__name__}) {OTHERWISE}")
-    to_accuracy = settings.get("accuracy") is not None
-    first = min(samples, FIRST_SAMPLES) if to_accuracy else samples
-    parts = checked_scramblings("campaign", first, scramblings)
-    first = first_of(first, parts) if to_accuracy else first
-    chunk = settings.get("chunk")
-    if chunk is not None:
-        check_count("chunk of campaign", chunk)
-    return planned(problem, (first, seed, sampling, parts), chunk, samples)
 
 
 def _open_samples(
