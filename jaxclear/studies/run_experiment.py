@@ -18,7 +18,7 @@ from jaxclear.errors.observables import GAPS
 from jaxclear.errors.verification import refine_times, replica
 from jaxclear.ground.compiling import by_form
 from jaxclear.ground.printing import part_in_words
-from jaxclear.ground.quantity import on_device, on_host, with_fields
+from jaxclear.ground.quantity import is_traced, on_device, on_host, with_fields
 from jaxclear.integrators import AbstractIntegrator, FixedStep, MoreauJean, Outcome
 from jaxclear.integrators.base import PART_OF, STUDIES, Promise
 from jaxclear.integrators.checks import Checks
@@ -54,7 +54,14 @@ from jaxclear.simulation.derivatives import (
     until_the_end,
 )
 from jaxclear.simulation.initial_state import Past, past_of, state_of
-from jaxclear.simulation.load_steps import LoadSteps, checked_by, load_steps
+from jaxclear.simulation.load_steps import (
+    LoadSteps,
+    checked_by,
+    felt_along,
+    load_steps,
+    own_loads,
+    run_felt,
+)
 from jaxclear.simulation.loop import Extras, sketched
 from jaxclear.simulation.saving import Saving, as_saving, check_steps, checked_saving
 from jaxclear.simulation.simulate import (
@@ -130,6 +137,9 @@ class RunExperiment(AbstractExperiment):
     mode: Nominal | None = derived()
     # Touches and releases of each contact that are kept between two saving times.
     events: int = derived(static=True)
+    # Whether each sample is looked at for what loads of the user's own do within less than a step,
+    # as the nominal one does some.
+    looks_along: bool = derived(static=True)
 
     def __init__(
         self,
@@ -173,6 +183,14 @@ class RunExperiment(AbstractExperiment):
         else:
             sampled_mode = Sampled((), motion.redundancy, None)
         self.determined, self.redundancy, self.mode = sampled_mode
+        self.looks_along = False
+        if own_loads(mechanism):
+            run = _run_nominal(self)
+            steps = felt_along(run, self.integrator)
+            shares = checked_by(steps.passed, Checks())
+            self.looks_along = is_traced(run) or bool(
+                steps.integrator is not self.integrator or shares.warnings
+            )
 
     def _check_answers(
         self, integrator: AbstractIntegrator | None, times: Array, events: int
@@ -227,9 +245,13 @@ class RunExperiment(AbstractExperiment):
         else:
             start = carried_on(mechanism, *motion.moving)
         extras = Extras(events=self.events, discrete=discrete)
-        arguments = mechanism, *start[:2], self._times(), self.integrator, extras, self.past
-        trajectory = until_the_end(run(*arguments, self.updates))
-        return mechanism, start, trajectory
+        arguments = mechanism, *start[:2], self._times()
+        make_run = lambda steps: run(*arguments, steps, extras, self.past, self.updates)
+        if self.looks_along:
+            trajectory, _ = run_felt(make_run, self.integrator, {})
+        else:
+            trajectory = make_run(self.integrator)
+        return mechanism, start, until_the_end(trajectory)
 
     def _times(self) -> Array:
         """Saving times [s]."""
@@ -367,6 +389,12 @@ def _lengths(mechanism: Mechanism) -> tuple[Array, Array, Array]:
     system = prepare(mechanism)
     widest = jnp.max(rooms(system), initial=0.0) if system.bearings else jnp.zeros(())
     return narrowest_gap(system), longest_arm(system), widest
+
+
+@compiled_for_kernels
+def _run_nominal(experiment: RunExperiment) -> Trajectory:
+    """The run of the mechanism as it is."""
+    return experiment.started(Setting((), (), jnp.zeros(0)))[2]
 
 
 def _answers(experiment: RunExperiment, setting: Setting, discrete: bool) -> SampleResult:

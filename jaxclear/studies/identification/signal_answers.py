@@ -34,9 +34,8 @@ from jaxclear.studies.identification.signal_study import SignalFits, fit_signals
 from jaxclear.studies.problem import Problem
 from jaxclear.studies.run_experiment import RunExperiment
 
-# Searches that begin at different places of the priors, and windows of a record of runs in time,
-# each twice as long as the one before.
-STARTS, WINDOWS = 8, 4
+# Windows of a record of runs in time, each twice as long as the one before.
+WINDOWS = 4
 # Draws that follow what the records leave.
 DRAWS = 1024
 # Scores whose posterior correlation [1] is beyond this are told better together.
@@ -67,7 +66,7 @@ def identify_by_signals(
         for problem in problems
     )
     windows = WINDOWS if in_time else 1
-    study = fit_signals(pairs, starts=STARTS, windows=windows, draws=draws, seed=seed)
+    study = fit_signals(pairs, windows=windows, draws=draws, seed=seed)
     return of_signals(models, study, seed)
 
 

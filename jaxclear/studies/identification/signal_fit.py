@@ -32,8 +32,10 @@ REFUSED = 1e-3
 # Of a signal whose noise is not known, shares of its deviation: no instrument leaves less than the
 # first, and beyond the last its mean would explain it better.
 LEAST_MISFIT, MOST_MISFIT = 1e-6, 1.1
-# Shares below and above which half of the rest of 95 % lies.
-ENDS = (0.025, 0.975)
+# What an interval holds, and shares below and above which half of the rest lies.
+CONTENT, ENDS = 0.95, (0.025, 0.975)
+# Searches, the nominal values among their starts.
+STARTS = 8
 # Optima that intervals hold, and draws that tell these.
 MOST_CENTRES, DRAWS = 3, 4096
 # An end of the prior whose density is above this share of the largest is not excluded: twice the
@@ -101,7 +103,6 @@ def fit_signal(
     forward: Forward,
     record: Record,
     *,
-    starts: int = 8,
     windows: int = 1,
     draws: int = 512,
     seed: int = 0,
@@ -114,7 +115,6 @@ def fit_signal(
     Args:
         forward: signals of the unknowns, with derivatives.
         record: to be fitted.
-        starts: number of searches, the nominal values among their starts.
         windows: how often each search's window doubles until it holds the record.
         draws: runs that sample what follows for the responses.
         seed: of starts and draws.
@@ -123,7 +123,7 @@ def fit_signal(
         ValueError: signals and problem do not fit together.
     """
     check_signals(forward, record)
-    begin = starts_of(starts, len(forward.problem.names), seed)
+    begin = starts_of(STARTS, len(forward.problem.names), seed)
     scale = _first_scale(record)
     candidates, runs = optima(forward, record, begin, scale, windows)
     if not candidates:
@@ -303,11 +303,11 @@ def _make_fit(
     return SignalFit(best, misfits, values, unknowns, answers, together, runs)
 
 
-def shortest_interval(shares: np.ndarray, content: float = 0.95) -> tuple[float, float]:
-    """The shortest interval of the prior's shares (draws,) [1] that holds `content` [1] of them:
+def shortest_interval(shares: np.ndarray) -> tuple[float, float]:
+    """The shortest interval of the prior's shares (draws,) [1] that holds 95 % of them:
     where little speaks against an end of the prior, it reaches that end."""
     ordered = np.sort(shares)
-    inside = int(np.ceil(content * len(ordered)))
+    inside = int(np.ceil(CONTENT * len(ordered)))
     start = int(np.argmin(ordered[inside - 1 :] - ordered[: len(ordered) - inside + 1]))
     low, high = float(ordered[start]), float(ordered[start + inside - 1])
     step = (high - low) / PARTS
