@@ -103,8 +103,6 @@ def applied_forces(
     system: System,
     motions: tuple[Motion, ...],
     reports: dict[str, JointReport],
-    q: tuple,
-    v: tuple,
     time: Any,
     followed: Followed = NOTHING_FOLLOWED,
 ) -> Forces:
@@ -114,8 +112,6 @@ def applied_forces(
         system: prepared mechanism, as `prepare` returns it.
         motions: motion of every link at one instant, in the order of `system.links`.
         reports: of clearance joints, by joint; empty where contacts are solved elsewhere.
-        q: coordinates, a tuple for each link.
-        v: speeds, a tuple for each link.
         time: instant [s] of the loads.
         followed: what the state integrates beside the motion: whole-turn angles, load states,
             flanks.

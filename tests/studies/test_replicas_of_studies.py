@@ -348,15 +348,13 @@ def test_a_kept_study_of_derivatives_keeps_replicas_beside_what_it_asked_before(
     asked = falling()
     how = {"sample": 8, "difference_samples": 8, "variables": "gravity"}
     plain = jc.sensitivity(asked, **how)
-    found = jc.campaign(asked, folder=tmp_path, study=jc.sensitivity, **how)
+    found = jc.sensitivity(asked, store=tmp_path, **how)
     files = len(list((tmp_path / CHUNKS).iterdir()))
     without = tmp_path / "without"
-    jc.campaign(asked, folder=without, study=jc.sensitivity, verify=False, **how)
+    jc.sensitivity(asked, store=without, verify=False, **how)
     assert 0 < len(list((without / CHUNKS).iterdir())) < files
     for name, told in plain.sample.replicas.responses.items():
         np.testing.assert_array_equal(found.sample.replicas.responses[name], told)
-    with pytest.raises(ValueError, match="sobol_indices has no verify"):
-        jc.campaign(asked, 8, folder=tmp_path / "b", study=jc.sobol_indices, verify=False)
 
 
 def test_intervals_of_derivatives_hold_what_steps_do():

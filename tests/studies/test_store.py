@@ -188,9 +188,7 @@ def write_plan(folder, plan):
 
 
 def test_folders_of_other_versions_are_refused_in_a_sentence(tmp_path):
-    """Of jaxclear 0.35 or 0.36, with a plan and where it was lost; and of a later format."""
-    for folder in ("whole", "lost"):
-        (tmp_path / folder / "pieces").mkdir(parents=True)
+    """Of jaxclear 0.35 or 0.36, whose files have no format; and of a later one."""
     write_plan(tmp_path / "whole", {"what": "a Monte Carlo campaign", "plan": {}, "problem": "{}"})
     ask_for_campaign(tmp_path / "later")
     saved = json.loads((tmp_path / "later" / STUDY).read_text())

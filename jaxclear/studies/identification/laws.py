@@ -152,7 +152,7 @@ def _mix_laws(part: Any, losses: list, frictions: list, names: dict[str, tuple[s
             return ChosenDissipation(part, others)
     if isinstance(part, AbstractSlipFriction):
         kinds = _other_laws(part, frictions)
-        if kinds and "mu_kinetic" in _number_names(type(part)):
+        if kinds and "mu_kinetic" in {field.name for field in dataclasses.fields(type(part))}:
             others = tuple(_friction_like(kind, part) for kind in kinds)
             names.setdefault(FRICTION, _law_names(part, kinds))
             return ChosenFriction(part, others)
@@ -168,10 +168,6 @@ def _other_laws(law: Any, kinds: list) -> list:
 
 def _law_names(law: Any, kinds: list) -> tuple[str, ...]:
     return tuple(kind.__name__ for kind in (type(law), *kinds))
-
-
-def _number_names(kind: type) -> set[str]:
-    return {field.name for field in dataclasses.fields(kind)}
 
 
 def _friction_like(kind: type, law: Any) -> Any:
