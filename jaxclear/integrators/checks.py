@@ -213,7 +213,8 @@ class Check(AbstractCheck):
         "worn depth",
         SURFACES,
         'the deepest scar of joint "{place}" is hardly wider than a cell, its depth underestimated '
-        "({figure:.2g}, limit {limit:g}): give its Wearing more cells",
+        "({figure:.2g}, limit {limit:g}): give its Wearing more cells, or take shorter steps where "
+        "one moves a contact by more than a cell",
     )
     WEAR_AT_SAVES = (
         34,

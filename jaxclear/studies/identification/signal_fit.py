@@ -20,8 +20,15 @@ import numpy as np
 import scipy
 from jax.scipy.special import ndtr
 
+from jaxclear.errors.estimates import HALF
+from jaxclear.ground.quantity import with_fields
 from jaxclear.studies.identification.forward import Forward, Record, check_signals
-from jaxclear.studies.identification.least_squares import Optimum, optima, starts_of
+from jaxclear.studies.identification.least_squares import (
+    Optimum,
+    finer_residuals,
+    optima,
+    starts_of,
+)
 from jaxclear.studies.infinite_responses import successes
 from jaxclear.studies.store.batch import evaluate_all
 
@@ -87,7 +94,8 @@ class SignalFit(NamedTuple):
     """What one record tells by one model. `best` (variables,): the nearest values; `misfits` by
     signal; `values` (draws, variables) follow the posterior; `unknowns` and `answers`, their
     intervals by name; `together`: correlations [1] of the unknowns' normal scores, by pair; `runs`
-    that it took; `refusal`: why there are no intervals, "" where there are."""
+    that it took; `refusal`: why there are no intervals, "" where there are; `by_steps`: by how many
+    of its standard deviations each unknown is off by the steps of the runs, by name."""
 
     best: np.ndarray
     misfits: dict[str, Misfit]
@@ -97,6 +105,7 @@ class SignalFit(NamedTuple):
     together: dict[tuple[str, str], float]
     runs: int
     refusal: str = ""
+    by_steps: dict[str, float] | None = None
 
 
 def fit_signal(
@@ -139,7 +148,25 @@ def fit_signal(
     refusal = _why_refused(best, misfits)
     if refusal:
         return _make_refused_fit(forward, record, best, runs, refusal)
-    return _make_fit(forward, record, candidates, misfits, runs, draws, seed)
+    fit = _make_fit(forward, record, candidates, misfits, runs, draws, seed)
+    moves = _moves_by_steps(forward, record, best, _weigh_samples(record, misfits))
+    return fit._replace(by_steps=dict(zip(forward.problem.names, moves.tolist(), strict=False)))
+
+
+def _moves_by_steps(
+    forward: Forward, record: Record, best: Optimum, scale: np.ndarray
+) -> np.ndarray:
+    """By how many of their standard deviations unknowns (variables,) follow what the steps of runs
+    leave in the signals: one step of Gauss and Newton; none where steps cannot be refined."""
+    finer = forward.problem.refine()
+    if finer is None or finer.shares.shape != forward.problem.shares.shape:
+        return np.zeros(0)
+    # As many rows as before run the same program.
+    normals = np.resize(best.normal, (STARTS, len(best.normal)))
+    seen = finer_residuals(with_fields(forward, problem=finer), normals, record.row)
+    error = (best.residual - seen) / (1 - HALF)
+    matrix = np.linalg.inv(best.information(scale))
+    return matrix @ (best.slopes.T @ (error / scale**2)) / np.sqrt(np.diag(matrix))
 
 
 def correlation_time(residual: np.ndarray) -> float:
