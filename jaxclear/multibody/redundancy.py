@@ -34,7 +34,7 @@ from jaxclear.multibody.start_equations import (
     start_problem,
 )
 from jaxclear.multibody.topology import Redundancy
-from jaxclear.native import compiled_sooner
+from jaxclear.native import in_one
 from jaxclear.native.compiled import compiled_quickly
 
 # A singular value this share of the largest, or less, is zero. Near a position where rows are
@@ -190,7 +190,7 @@ def _moved(mechanism: Mechanism, q: Array, step: Array, time: Any) -> tuple[Arra
         rest = stacked(problem, blocks_of(problem, there, time))[1]
         return there, jnp.max(jnp.abs(rest), initial=0.0)
 
-    return compiled_sooner(close)
+    return in_one(close)
 
 
 @compiled_quickly
@@ -214,7 +214,7 @@ def _place_of(mechanism: Mechanism, rows: tuple[Row, ...], q: Array, time: Any) 
         jacobian = stacked(problem, blocks_of(problem, q, time))[0] * speed_scales(problem)
         return jacobian, jax.lax.map(functools.partial(through, motions), jnp.eye(len(rows)))
 
-    jacobian, forces = compiled_sooner(placed)
+    jacobian, forces = in_one(placed)
     return Place(jacobian, forces, problem.arm)
 
 

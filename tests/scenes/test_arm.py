@@ -25,7 +25,6 @@ from jaxclear.scenes.arm import (
     gravity_torques,
     pick_and_place,
 )
-from jaxclear.studies.store.batch import evaluate_all
 from tests.rigs.refusals import refusals
 
 REFERENCE = json.loads((Path(__file__).parents[1] / "refdata" / "xarm7.json").read_text())
@@ -161,12 +160,10 @@ def test_a_reversal_loses_play_and_twice_the_twist():
 @pytest.mark.slow(sample=False)
 def test_slopes_by_all_plays_are_those_of_narrower_differences_and_derivatives(held):
     problem = study.tip_problem(study.STANDARD, held[0.0])
+    error = jax.jit(jax.vmap(lambda plays: problem.evaluate(plays).responses["tip error"]))
     step = 0.02 * ARCMIN * np.eye(len(JOINTS))
     nominal = np.asarray(problem.nominal())
-    # As many as `slopes` takes: one program.
-    plays = np.resize(np.concatenate([nominal + step, nominal - step]), (study.CHUNK, len(JOINTS)))
-    error = evaluate_all(problem, jnp.asarray(plays)).responses["tip error"]
-    above, below = np.split(np.asarray(error)[: 2 * len(JOINTS)], 2)
+    above, below = np.split(np.asarray(error(np.concatenate([nominal + step, nominal - step]))), 2)
     found = study.slopes(problem)["slope [mm/arcmin]"]
     narrow = 1e3 * (above - below) / 0.04
     # tenths of a play beside hundredths: the error bends by less
