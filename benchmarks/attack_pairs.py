@@ -1,6 +1,7 @@
 """A drive in which two things switch at once: is any derivative wrong without a sentence?
 
     python -m benchmarks.attack_pairs [--quick] [--json FILE] [--only NAME ...] [--rung NAME ...]
+        [--minutes N]
 
 A motor turns an arm through a gear that gives, under a torque that swings; to it are added two of:
 play in the gear (by three laws of its flanks), its efficiency, a stop, a freewheel to a flywheel, a
@@ -11,18 +12,17 @@ as `jax.jacfwd(problem.evaluate)` gives them, beside extrapolated central differ
 explained).
 """
 
+import functools
 import itertools
 from collections.abc import Callable
 from typing import Any
 
-import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 
 import jaxclear as jc
-from benchmarks.attack_slopes import LEAST, SHARES, Row, extrapolated, judge, summary
-from benchmarks.measure import arguments, report, sign
+from benchmarks.attack_slopes import MINUTES, Row, differences, judged, run_attack, told
+from benchmarks.measure import arguments
 
 DURATION, SAVES = 0.6, 121
 # By how much of itself a slope may be off.
@@ -136,42 +136,17 @@ def problem(first: str, second: str, variant: int, integrator: Any) -> jc.Proble
     )
 
 
-def _reference(asked: jc.Problem) -> tuple[np.ndarray, np.ndarray, float]:
-    """(slopes, how far they are sure, the response) of a problem by `Adaptive`."""
-    at = np.asarray(asked.nominal())
-    points = [at] + [
-        at + sign * share * way for share in SHARES for way in np.diag(at) for sign in (1, -1)
-    ]
-
-    @jax.jit
-    def answers(rtol: Any) -> Any:
-        numbers = lambda own: (own.integrator.rtol, own.integrator.atol)
-        own = eqx.tree_at(numbers, asked, (rtol, 1e-2 * rtol))
-        return jax.lax.map(
-            lambda values: own.evaluate(values).responses["response"], jnp.asarray(points)
-        )
-
-    tight, loose = (np.asarray(answers(jnp.asarray(rtol))) for rtol in TOLERANCES)
-    (slopes, spread), (others, _) = (extrapolated(own[1:], at) for own in (tight, loose))
-    return slopes, np.maximum(spread, abs(slopes - others)), float(tight[0])
-
-
 def attack(pair: tuple[str, str], number: int, rungs: dict[str, Any]) -> list[Row]:
     """All slopes of one pair."""
-    name = " and ".join(pair)
-    known, doubts, value = _reference(problem(*pair, number, RUNGS["Adaptive"]))
-    rows = []
-    for rung, integrator in rungs.items():
-        asked = problem(*pair, number, integrator)
-        at = asked.nominal()
-        evaluate = lambda values, asked=asked: asked.evaluate(values).responses["response"]
-        slopes = np.asarray(jax.jit(jax.jacfwd(evaluate))(at))
-        for k, variable in enumerate(asked.names):
-            scale = max(abs(known[k]), LEAST * abs(value / float(at[k])))
-            numbers = float(slopes[k]), float(known[k]), float(doubts[k]), float(scale)
-            verdict = judge(*numbers, LIMIT)
-            rows.append(Row(number, name, rung, "angle", variable, verdict, *numbers))
-    return rows
+    asked = {rung: problem(*pair, number, integrator) for rung, integrator in rungs.items()}
+    known = differences(problem(*pair, number, RUNGS["Adaptive"]), TOLERANCES)
+    assert not isinstance(known, str), known
+    where = number, " and ".join(pair)
+    return [
+        row
+        for rung, own in asked.items()
+        for row in judged((*where, rung), own.names, known, told(lambda own=own: own), LIMIT)
+    ]
 
 
 def pairs() -> list[tuple[str, str]]:
@@ -184,24 +159,13 @@ def main() -> None:
         str(__doc__),
         only={"nargs": "*", "choices": list(FEATURES), "help": "pairs with all of them"},
         rung={"nargs": "*", "choices": list(RUNGS), "default": list(RUNGS)},
+        minutes=MINUTES,
     )
     chosen = [(k, p) for k, p in enumerate(pairs()) if set(given.only or ()) <= set(p)]
     chosen = chosen[:: len(chosen) // 3] if given.quick else chosen
     rungs = {name: RUNGS[name] for name in given.rung}
-    rows: list[Row] = []
-    for number, pair in chosen:
-        found = attack(pair, number, rungs)
-        rows += found
-        for row in found:
-            print(
-                f"{row.mechanism}, {row.rung}: by {row.variable} {row.slope:.6g} for "
-                f"{row.reference:.6g} (sure to {row.doubt:.2g}): {row.verdict}",
-                flush=True,
-            )
-        jax.clear_caches()
-    for key in ("rung", "mechanism"):
-        report(f"slopes by {key}", summary(rows, key), given)
-    sign("benchmarks.attack_pairs", given.json)
+    cases = (functools.partial(attack, pair, number, rungs) for number, pair in chosen)
+    run_attack("benchmarks.attack_pairs", cases, given)
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """Random mechanisms, laws and rungs: is any derivative wrong without a sentence?
 
     python -m benchmarks.attack_slopes [--quick] [--json FILE] [--first N] [--draws N]
-        [--only K ...] [--rung NAME ...]
+        [--only K ...] [--rung NAME ...] [--minutes N]
 
 The mechanisms are those of `benchmarks.attack` with clearance, and its drives. Of each the slopes
 of the last place of a body, of mean and peak forces of its first joint, and of what that wears, by
@@ -14,8 +14,10 @@ a sentence; said, where the run warns of its response; undecidable, where the re
 or silently wrong.
 """
 
+import functools
+import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from enum import StrEnum
 from typing import Any, NamedTuple
 
@@ -55,7 +57,8 @@ RUNGS: dict[str, tuple[Callable[[Case], Any], float]] = {
     "FixedStep(1e-5, heun)": (lambda _: jc.integrator.FixedStep(1e-5, "heun"), 0.05),
     "ImplicitStep(2e-5)": (lambda _: jc.integrator.ImplicitStep(2e-5), 0.05),
 }
-QUICK = 3
+MIXED = 6
+MINUTES = {"type": float, "help": "of CPU time, after which no other mechanism begins"}
 
 
 class Verdict(StrEnum):
@@ -169,42 +172,49 @@ def _of_a_drive(rig: jc.Mechanism) -> tuple[dict[str, Any], dict[str, Callable]]
 
 def reference(case: Case) -> tuple[dict, dict, dict] | str:
     """(slopes, doubts, values) by response, or why there are none."""
-    slopes, doubts, values = {}, {}, {}
-    contact = bool(case.mechanism.topology.clearances)
-    for dense in (False, True) if contact else (False,):
-        found = []
-        for rtol in TOLERANCES:
-            integrator = jc.integrator.Adaptive(rtol=rtol, atol=1e-2 * rtol)
-            answers = _answers(problem(case, integrator, dense))
-            if isinstance(answers, str):
-                return answers
-            found.append(answers)
-        for name in found[0][0]:
-            tight, loose = (extrapolated(own[name][1:], at) for own, at in found)
-            slopes[name] = tight[0]
-            doubts[name] = np.maximum(tight[1], abs(tight[0] - loose[0]))
-            values[name] = found[0][0][name][0]
-    if contact:
-        coarse = slopes.pop(HALF)
-        doubts["peak force"] = doubts["peak force"] + abs(slopes["peak force"] - coarse)
-    return slopes, doubts, values
+    tight = jc.integrator.Adaptive()
+    known = differences(problem(case, tight))
+    if isinstance(known, str) or not case.mechanism.topology.clearances:
+        return known
+    peaks = differences(problem(case, tight, dense=True))
+    if isinstance(peaks, str):
+        return peaks
+    for of_all, of_peaks in zip(known, peaks, strict=True):
+        of_all |= of_peaks
+    slopes, doubts, _ = known
+    coarse = slopes.pop(HALF)
+    doubts["peak force"] = doubts["peak force"] + abs(slopes["peak force"] - coarse)
+    return known
 
 
-def _answers(asked: jc.Problem) -> tuple[dict, np.ndarray] | str:
-    """(responses at the numbers and beside them, the numbers), or why there are none."""
-    nominal = np.asarray(asked.nominal())
-    points = [nominal] + [
-        nominal + sign * share * way
-        for share in SHARES
-        for way in np.diag(nominal)
-        for sign in (1, -1)
+def differences(
+    asked: jc.Problem, tolerances: tuple[float, float] = TOLERANCES
+) -> tuple[dict, dict, dict] | str:
+    """(slopes, how far they are sure, values) by response, from runs of `Adaptive` at these
+    tolerances for numbers on either side of the nominal ones, or why there are none."""
+    at = np.asarray(asked.nominal())
+    points = [at] + [
+        at + sign * share * way for share in SHARES for way in np.diag(at) for sign in (1, -1)
     ]
-    function = jax.jit(lambda values: asked.evaluate(values))
-    results = [function(jnp.asarray(values)) for values in points]
-    if any(int(result.outcome) != jc.integrator.Outcome.REACHED for result in results):
-        return "the reference does not reach its end"
-    names = asked.response_names
-    return {name: np.array([r.responses[name] for r in results]) for name in names}, nominal
+
+    @jax.jit
+    def function(rtol: Any, values: Any) -> Any:
+        bounds = lambda own: (own.integrator.rtol, own.integrator.atol)
+        return eqx.tree_at(bounds, asked, (rtol, 1e-2 * rtol)).evaluate(values)
+
+    found = []
+    for rtol in tolerances:
+        results = [function(jnp.asarray(rtol), jnp.asarray(values)) for values in points]
+        if any(int(result.outcome) != jc.integrator.Outcome.REACHED for result in results):
+            return "the reference does not reach its end"
+        names = asked.response_names
+        found.append({name: np.array([r.responses[name] for r in results]) for name in names})
+    slopes, doubts, values = {}, {}, {}
+    for name, responses in found[0].items():
+        tight, loose = (extrapolated(own[name][1:], at) for own in found)
+        slopes[name], values[name] = tight[0], responses[0]
+        doubts[name] = np.maximum(tight[1], abs(tight[0] - loose[0]))
+    return slopes, doubts, values
 
 
 def extrapolated(responses: np.ndarray, at: Any) -> tuple[np.ndarray, np.ndarray]:
@@ -231,16 +241,16 @@ def attack(structure: Structure, draw: int, rungs: dict[str, tuple]) -> list[Row
         return []
     rows, names = [], tuple(problem(case, jc.integrator.Adaptive()).names)
     for rung, (make, limit) in rungs.items():
-        told = _told(case, make(case))
-        rows += _judged((number, structure.name, rung), names, known, told, limit)
+        own = told(lambda make=make: problem(case, make(case)))
+        rows += judged((number, structure.name, rung), names, known, own, limit)
     return rows
 
 
-def _told(case: Case, integrator: Any) -> tuple[dict, frozenset[str], np.ndarray | None]:
+def told(ask: Callable[[], jc.Problem]) -> tuple[dict, frozenset[str], np.ndarray | None]:
     """(slopes by response, none where a sentence refuses them; responses that are warned of; the
-    numbers)."""
+    numbers) of a problem."""
     try:
-        asked = problem(case, integrator)
+        asked = ask()
         at = np.asarray(asked.nominal())
 
         def both(values):
@@ -255,11 +265,11 @@ def _told(case: Case, integrator: Any) -> tuple[dict, frozenset[str], np.ndarray
     return slopes, verdicts.of_checks(result.checks), at
 
 
-def _judged(
-    where: tuple[int, str, str], names: tuple[str, ...], known: tuple, told: tuple, limit: float
+def judged(
+    where: tuple[int, str, str], names: tuple[str, ...], known: tuple, given: tuple, limit: float
 ) -> list[Row]:
     """The rows of a case and rung, by the names of what varies, what is known and what was told."""
-    (slopes, doubts, values), (own, warned, at) = known, told
+    (slopes, doubts, values), (own, warned, at) = known, given
     rows = []
     for name, of_name in slopes.items():
         for k, variable in enumerate(names):
@@ -304,36 +314,40 @@ def main() -> None:
         draws={"type": int, "default": 1, "help": "how many draws"},
         only={"type": int, "nargs": "*", "help": "mechanisms by number"},
         rung={"nargs": "*", "choices": list(RUNGS), "default": list(RUNGS)},
+        minutes=MINUTES,
     )
     wanted = [each for each in structures() if given.only is None or each.number in given.only]
+    # Kinds mixed, so that what is measured first is of all kinds.
+    wanted = [each for first in range(MIXED) for each in wanted[first::MIXED]]
     if given.quick:
-        wanted = wanted[:: len(wanted) // QUICK]
+        wanted = wanted[:: len(wanted) // 3]
     rungs = {name: RUNGS[name] for name in given.rung}
+    cases = ((one, given.first + draw) for one in wanted for draw in range(given.draws))
+    run_attack(
+        "benchmarks.attack_slopes",
+        (functools.partial(attack, *case, rungs) for case in cases),
+        given,
+    )
+
+
+def run_attack(module: str, cases: Iterable[Callable[[], list[Row]]], given: Any) -> None:
+    """Attacks all cases, tells each as it is found, with its wrong slopes, and writes their tables,
+    so that a run may be ended at any time."""
     rows: list[Row] = []
-    for structure in wanted:
-        for draw in range(given.first, given.first + given.draws):
-            found = attack(structure, draw, rungs)
-            rows += found
-            _tell(structure, draw, found)
+    for case in cases:
+        if given.minutes and time.process_time() > 60 * given.minutes:
+            break
+        found = case()
+        rows += found
+        for (mechanism, verdict), count in Counter((x.mechanism, x.verdict) for x in found).items():
+            print(f"{mechanism}: {count} {verdict}", flush=True)
+        for row in found:
+            if row.verdict == Verdict.WRONG:
+                print(f"   {row}", flush=True)
         jax.clear_caches()
-        # So that a run may be ended at any time.
         for key in ("rung", "response", "mechanism"):
             report(f"slopes by {key}", summary(rows, key), given)
-        sign("benchmarks.attack_slopes", given.json)
-
-
-def _tell(structure: Structure, draw: int, rows: list[Row]) -> None:
-    """A case as it is found, with its wrong slopes."""
-    counts = Counter(row.verdict for row in rows)
-    told = ", ".join(f"{count} {verdict}" for verdict, count in counts.items())
-    print(f"{structure.number} {structure.name}, draw {draw}: {told}", flush=True)
-    for row in rows:
-        if row.verdict == Verdict.WRONG:
-            print(
-                f"   {row.rung}: d {row.response} / d {row.variable} = {row.slope:.6g} for "
-                f"{row.reference:.6g} (sure to {row.doubt:.2g})",
-                flush=True,
-            )
+        sign(module, given.json)
 
 
 if __name__ == "__main__":

@@ -86,7 +86,6 @@ __version__ = installed("jaxclear")
 __all__ = [
     "AbstractExperiment",
     "AbstractFunctionOfTime",
-    "AbstractLifeResponse",
     "AbstractMechanismVariable",
     "AbstractQuantified",
     "AbstractVariable",

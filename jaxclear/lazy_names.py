@@ -21,7 +21,7 @@ from jaxclear.studies.identification.identify import identify
 from jaxclear.studies.identification.measurement import Measurement
 from jaxclear.studies.identification.remaining_life import remaining_life
 from jaxclear.studies.life.derivative import wear_life_derivatives
-from jaxclear.studies.life.life_problem import AbstractLifeResponse, LifeProblem, LifeUntil
+from jaxclear.studies.life.life_problem import LifeProblem, LifeUntil
 from jaxclear.studies.life.steady_cycle import steady_cycle
 from jaxclear.studies.life.wear_life import wear_life, wear_life_sample
 from jaxclear.studies.monte_carlo import monte_carlo

@@ -296,6 +296,7 @@ def modules():
             yield importlib.import_module(info.name)
 
 
+@functools.cache
 def own_classes():
     found = {}
     for module in modules():
@@ -306,13 +307,10 @@ def own_classes():
     return found
 
 
-CLASSES = own_classes()
-
-
 def test_classes_are_abstract_or_final():
     against = [
         f"{name} subclasses the final class {parent.__name__}"
-        for name, kind in CLASSES.items()
+        for name, kind in own_classes().items()
         for parent in kind.__mro__[1:]
         if parent.__module__.startswith("jaxclear") and not parent.__name__.startswith("Abstract")
     ]
@@ -337,7 +335,7 @@ def members(room_name):
     """Names of the laws or joints that are defined in a room: final classes of a family."""
     return {
         kind.__name__
-        for kind in CLASSES.values()
+        for kind in own_classes().values()
         if kind.__module__.startswith(f"jaxclear.{room_name}.")
         and kind.__mro__[1].__name__.startswith("Abstract")
         and kind.__mro__[1].__module__.startswith(f"jaxclear.{room_name}.")

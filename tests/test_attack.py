@@ -3,6 +3,8 @@ right one, and that a few of its cases are clean."""
 
 from types import SimpleNamespace
 
+import equinox as eqx
+import jax
 import numpy as np
 import pytest
 
@@ -10,7 +12,7 @@ import jaxclear as jc
 from benchmarks import attack
 from benchmarks.attacks import ideal, laws, tables, verdicts
 from benchmarks.attacks.answers import RESPONSES
-from benchmarks.attacks.attempts import Asked, Finding, attempt
+from benchmarks.attacks.attempts import Asked, Finding, attempt, nudged
 from benchmarks.attacks.structures import structures
 from benchmarks.attacks.verdicts import Verdict
 from jaxclear.integrators.base import REFERENCE, RUNGE_KUTTA
@@ -124,6 +126,16 @@ def test_a_run_without_contacts_tells_errors_of_its_reactions():
     )
     assert set(coarse) == {"place", "mean force", "peak force"}
     assert all(0 < fine[name] < 0.2 * coarse[name] for name in coarse)
+
+
+def test_slightly_other_numbers_are_within_their_ranges():
+    """Coarseness of cells is 1 at the least: a reference with less was refused."""
+    rig = structures()[14].case(74).mechanism
+    leaves = lambda of: jax.tree.leaves(eqx.filter(of, eqx.is_inexact_array))
+    pairs = list(zip(leaves(rig), leaves(nudged(rig)), strict=True))
+    assert any(np.any(leaf == 1) for leaf, _ in pairs)
+    for leaf, other in pairs:
+        np.testing.assert_array_equal(leaf != other, (leaf != 0) & (leaf != 1))
 
 
 @pytest.mark.slow(sample=False)

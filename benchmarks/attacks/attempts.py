@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 import jaxclear as jc
@@ -126,13 +127,15 @@ def judges(case: Case, model: str, step: float | None, asked: Asked) -> tuple[At
 
 
 def nudged(rig: jc.Mechanism) -> jc.Mechanism:
-    """The mechanism with every number off by `NUDGE`, up or down at random."""
+    """The mechanism with every number off by `NUDGE`, up or down at random, but those that are 1:
+    shares may not be more, nor the coarseness of cells less."""
     signs = np.random.default_rng(0)
 
     def moved(leaf: Any) -> Any:
         if not eqx.is_inexact_array(leaf):
             return leaf
-        return leaf * (1 + NUDGE * signs.choice([-1.0, 1.0]))
+        share = 1 + NUDGE * signs.choice([-1.0, 1.0])
+        return jnp.where(leaf == 1, leaf, leaf * share)
 
     return jax.tree.map(moved, rig)
 

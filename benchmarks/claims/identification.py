@@ -276,10 +276,10 @@ def answers(case: Case, rigs: int, runs: int, seed: int) -> Answers:
     hidden = sampled(case.hidden, empty, question, law_choices, rigs, 1000 + seed)
     gain = jc.Dimension(1.0, jc.distribution.Normal(GAIN), unit="1")
     records = noisy_records(case, hidden.signals, rng, gain)
-    chosen = ensemble(case.fit.mechanism, None)
+    chosen = ensemble(case.fit.mechanism)
     asked = watched(case.fit, records[0], chosen)
     sample = sampled(case.fit, records[0], asked, chosen, runs, seed)
-    fitted = fit(case.fit, records[0], sample, jc.signal.usual_statistics(True), seed)
+    fitted = fit(case.fit, records[0], sample, seed)
     found = [answered(fitted, own) for own in records]
     parts = {
         part: np.array([[getattr(row, part) for row in one.unknowns] for one in found])
@@ -340,9 +340,9 @@ def failure_rows(rigs: int, runs: int) -> list[dict]:
     result = evaluate_all(question, jnp.asarray(values), label="hidden")
     signals = {name: np.asarray(result.responses[f"signal {name}"]) for name in empty.sensors}
     records = noisy_records(case, signals, rng)
-    chosen = ensemble(case.fit.mechanism, None)
+    chosen = ensemble(case.fit.mechanism)
     sample = sampled(case.fit, records[0], watched(case.fit, records[0], chosen), chosen, runs, 0)
-    fitted = fit(case.fit, records[0], sample, jc.signal.usual_statistics(True))
+    fitted = fit(case.fit, records[0], sample)
     estimates = [answered(fitted, record) for record in records]
     good = np.asarray(result.outcome).reshape(rigs, -1) == Outcome.REACHED
     truth, rows = (LIMIT - first) / growth, []

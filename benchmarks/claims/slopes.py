@@ -2,15 +2,10 @@
 gradient in reverse mode; and how much longer the program with slopes compiles.
 
 Ratios are medians over turns of one process, in which the programs follow each other: others load
-the machine. `--json benchmarks/results/slopes.json` keeps rows of earlier calls beside those
-measured now. The response is a sum of coordinates at the end: it costs nothing, so the ratio is the
-loop's. Of `ImplicitStep` slopes of the motion are measured, and discrete ones. Where run and motion
-have parted those of the motion are nan and cost little: in the slider-crank from its first impacts
-on, of semi-implicit steps too. In the bouncing journal they are known to the end. Slopes
-of all but `Adaptive` are compared with those in other steps, which is counted in. Rungs whose
-derivatives through contacts are refused are measured as well: what they cost is that of their
-loops. The friction of the antenna's
-joints is three zones for compliant rungs, Coulomb's for the others.
+the machine. The response is a sum of coordinates at the end: it costs nothing, so the ratio is the
+loop's. Of `ImplicitStep` discrete slopes are measured, which are known in every scene, and in the
+bouncing journal those of the motion. Slopes are compared with those in other steps or at another
+tolerance, which is counted in; where they are nan at the end is said, and costs as much.
 """
 
 import functools
@@ -23,27 +18,15 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxclear as jc
-from benchmarks.measure import arguments, by_turns, report, seconds_to_compile, sign, stored_rows
-from jaxclear.simulation.derivatives import backwards, is_compared
-from jaxclear.studies.run_experiment import RunExperiment
+from benchmarks.measure import by_turns, run_tables, seconds_to_compile
+from jaxclear.ground.printing import as_typed
 
-STEP, SAVES, DURATION = 2e-5, 21, 0.1
-RUNGS = {
-    "FixedStep(2e-5)": jc.integrator.FixedStep(STEP),
-    "FixedStep(2e-5, 'semi_implicit')": jc.integrator.FixedStep(STEP, "semi_implicit"),
-    "ImplicitStep(1e-4)": jc.integrator.ImplicitStep(1e-4),
-    "ImplicitStep(1e-4), discrete": jc.integrator.ImplicitStep(1e-4),
-    "ImplicitStep(1e-4, rebound=1.0)": jc.integrator.ImplicitStep(1e-4, rebound=1.0),
-    "NonColliding(1e-4)": jc.integrator.NonColliding(1e-4),
-    "MoreauJean(1e-4)": jc.integrator.MoreauJean(1e-4),
-    "Adaptive()": jc.integrator.Adaptive(),
-    "FixedStep(steps_per_save=250)": jc.integrator.FixedStep(steps_per_save=250),
-}
+SAVES, DURATION, BATCH = 21, 0.1, 64
+I = jc.integrator  # noqa: E741
 
 
 def bouncing() -> jc.Mechanism:
-    """A journal that bounces in its bearing without rubbing, some six times in a run: its slopes
-    are known to the end."""
+    """A journal that bounces in its bearing without rubbing, some six times in a run."""
     contact = jc.contact.Flores(stiffness=1e9, restitution=0.8)
     bearing = jc.clearance.PlanarJournalBearing(contact, clearance=1e-3)
     return jc.Mechanism(
@@ -54,27 +37,22 @@ def bouncing() -> jc.Mechanism:
     )
 
 
-SCENES = {
-    "slider-crank": jc.scenes.slider_crank,
-    "four-bar": jc.scenes.four_bar,
-    "antenna": jc.scenes.antenna,
-    "bouncing journal": bouncing,
-}
-# Of these rungs the discrete derivative is measured.
-DISCRETE = ("ImplicitStep(1e-4), discrete",)
-# Rungs whose contacts are rigid.
-RIGID = (jc.integrator.NonColliding, jc.integrator.MoreauJean)
-SLOPES = (1, 2, 4, 16)
-REVERSE = "reverse"
+SLOPES, REVERSE = (1, 4), "reverse"
+# Scene, mechanism, integrator, and whether slopes are those of the steps.
+CASES: tuple[tuple[str, Callable[[], jc.Mechanism], Any, bool], ...] = (
+    ("slider-crank", jc.scenes.slider_crank, I.FixedStep(2e-5), False),
+    ("slider-crank", jc.scenes.slider_crank, I.Adaptive(), False),
+    ("slider-crank", jc.scenes.slider_crank, I.ImplicitStep(1e-4), True),
+    ("slider-crank", jc.scenes.slider_crank, I.NonColliding(1e-4), False),
+    ("slider-crank", jc.scenes.slider_crank, I.MoreauJean(1e-4), False),
+    ("bouncing journal", bouncing, I.ImplicitStep(1e-4, rebound=1.0), False),
+)
 
 
 def problem(
-    scene: str, integrator: jc.integrator.AbstractIntegrator, duration: float, saves: int = SAVES
-) -> Any:
+    rig: jc.Mechanism, integrator: jc.integrator.AbstractIntegrator, duration: float
+) -> jc.Problem:
     """A scene, the clearance of its joint and the masses of its links varied."""
-    rig = SCENES[scene]()
-    if scene == "antenna" and not isinstance(integrator, RIGID):
-        rig = jc.scenes.antenna(friction="regularised")
     variables = {
         joint: jc.Variable(lambda m, n=joint: m.connections[n].joint.clearance, tolerance=1e-5)
         for joint in rig.topology.clearances
@@ -82,29 +60,20 @@ def problem(
     for name in rig.bodies:
         variables[name] = jc.Variable(lambda m, n=name: m.bodies[n].mass, tolerance=1e-3)
     end = lambda run: jnp.sum(run.history.states[-1][:4])
-    return jc.Problem(rig, end, variables, duration=duration, integrator=integrator, save=saves)
+    return jc.Problem(rig, end, variables, duration=duration, integrator=integrator, save=SAVES)
 
 
-def with_slopes(asked: jc.Problem, count: int | str, discrete: bool) -> Callable[..., Any]:
-    """(response, its slopes along `count` directions) by values; by values alone for 0; with its
-    gradient for `REVERSE`."""
+def with_slopes(
+    asked: jc.Problem, count: int | str, discrete: bool
+) -> tuple[Callable[..., Any], Any]:
+    """(response, its slopes along `count` directions) by numbers and values, and these numbers; by
+    values alone for 0; with its gradient for `REVERSE`."""
     value = np.asarray(asked.nominal())
     numbers, rest = eqx.partition(asked, eqx.is_array)
-    started = functools.partial(RunExperiment.started, discrete=discrete)
 
     def function(numbers, values):
         whole = eqx.combine(numbers, rest)
-
-        seen = whole.integrator.formulation.modelled(whole.mechanism)
-        checked = is_compared(seen, whole.integrator)
-
-        def answer(v):
-            if checked:
-                return whole.evaluate(v).responses["response"]
-            given = whole.experiment, whole.setting(v)
-            _, _, run = backwards(whole.integrator)(started, *given)
-            return whole.response["response"](run)
-
+        answer = lambda v: whole.evaluate(v, discrete_derivatives=discrete).responses["response"]
         if count == 0:
             return answer(values)
         if count == REVERSE:
@@ -113,77 +82,46 @@ def with_slopes(asked: jc.Problem, count: int | str, discrete: bool) -> Callable
         push = lambda way: jax.jvp(answer, (values,), (way,))
         return jax.vmap(push, out_axes=(None, 0))(jnp.asarray(directions))
 
-    return lambda values: (function, numbers, values)
-
-
-def compiled(
-    asked: jc.Problem, count: int | str, batch: int, discrete: bool = False
-) -> tuple[Any, float, tuple]:
-    """(compiled program of the run with slopes, CPU seconds to compile it, what it is given)."""
-    value = asked.nominal()
-    spread = 1 + 1e-3 * np.random.default_rng(1).normal(size=(max(batch, 1), len(value)))
-    values = value * jnp.asarray(spread) if batch else value
-    function, numbers, given = with_slopes(asked, count, discrete)(values)
-    each = jax.vmap(function, (None, 0)) if batch else function
-    return *seconds_to_compile(each, numbers, given), (numbers, given)
+    return function, numbers
 
 
 def measured(
-    scene: str, name: str, asked: jc.Problem, counts: tuple[Any, ...], batch: int, seconds: float
+    asked: jc.Problem, counts: tuple[Any, ...], batch: int, discrete: bool
 ) -> dict[str, Any]:
-    """One row: ratios of run and compilation, alone (`batch` 0) or in a batch."""
+    """Ratios of run and compilation, alone (`batch` 0) or in a batch."""
+    value = asked.nominal()
+    spread = 1 + 1e-3 * np.random.default_rng(1).normal(size=(max(batch, 1), len(value)))
+    values = value * jnp.asarray(spread) if batch else value
     cases, compiling = {}, {}
     for count in (0, *counts):
-        program, compiling[count], given = compiled(asked, count, batch, name in DISCRETE)
-        cases[str(count)] = lambda p=program, g=given: p(*g)
-    cpu, ratios, turns = by_turns(cases, "0", seconds)
-    row: dict[str, Any] = {"scene": scene, "rung": name, "samples": max(batch, 1)}
-    row["value [ms]"] = 1e3 * cpu
-    for count in (*SLOPES, REVERSE):
-        row[count if count == REVERSE else f"+{count}"] = ratios.get(str(count))
-    row["variables of reverse"] = len(asked.variables)
+        function, numbers = with_slopes(asked, count, discrete)
+        each = jax.vmap(function, (None, 0)) if batch else function
+        program, compiling[count] = seconds_to_compile(each, numbers, values)
+        cases[count] = functools.partial(program, numbers, values)
+    cpu, ratios, turns = by_turns(cases, 0, 2.0)
+    row = {"samples": max(batch, 1), "value [ms]": 1e3 * cpu}
+    row |= {f"+{count}": ratios.get(count) for count in SLOPES}
+    row |= {REVERSE: ratios.get(REVERSE), "variables of reverse": len(value)}
     row["compile, value [s]"] = compiling[0]
-    for count in (1, REVERSE):
-        label = f"compile, {count if count == REVERSE else f'+{count}'} over it"
-        row[label] = compiling[count] / compiling[0] if count in compiling else None
-    row["turns"] = turns
-    return row
+    for count, label in ((1, "+1"), (REVERSE, REVERSE)):
+        row[f"compile, {label} over it"] = compiling.get(count, np.nan) / compiling[0]
+    known = bool(np.all(np.isfinite(cases[1]()[1])))
+    return row | {"slopes known": known, "turns": turns}
 
 
-def joined(known: list[dict[str, Any]], found: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Rows of an earlier call with those of this one: cells measured now count, others stay."""
-    rows = {row["samples"]: row for row in known}
-    for row in found:
-        old = rows.get(row["samples"], {})
-        kept = {name: old.get(name) for name, cell in row.items() if cell is None}
-        rows[row["samples"]] = row | kept
-    names = dict.fromkeys(name for row in [*found, *known] for name in row)
-    return [{name: rows[own].get(name) for name in names} for own in sorted(rows)]
-
-
-def main() -> None:
-    options = arguments(
-        __doc__,
-        scene={"choices": list(SCENES), "default": "slider-crank", "help": "which mechanism"},
-        rung={"choices": list(RUNGS), "nargs": "*", "default": list(RUNGS), "help": "which ones"},
-        slopes={"type": int, "nargs": "*", "default": list(SLOPES), "help": "how many at once"},
-        batch={"type": int, "nargs": "*", "default": [0, 64], "help": "0: a run alone"},
-        seconds={"type": float, "default": 20.0, "help": "CPU time of the turns of a row"},
-    )
-    duration = DURATION / 4 if options.quick else DURATION
-    for name in options.rung[:1] if options.quick else options.rung:
-        integrator = RUNGS[name]
-        counted = integrator.steps_between_saves is not None
-        asked = problem(options.scene, integrator, duration)
-        title = f"slopes over the value, CPU time: {options.scene}, {name}"
-        for batch in options.batch:
-            slopes = options.slopes[:1] if options.quick else options.slopes
-            counts = (*(() if counted else slopes), *(() if batch else (REVERSE,)))
-            if counts:
-                row = measured(options.scene, name, asked, counts, batch, options.seconds)
-                report(title, joined(stored_rows(title, options), [row]), options)
-                sign("benchmarks.claims.slopes", options.json, [title])
+def rows_of(options: Any) -> list[dict[str, Any]]:
+    """A row for each case alone, and in a batch."""
+    rows = []
+    for scene, build, integrator, discrete in CASES[:1] if options.quick else CASES:
+        asked = problem(build(), integrator, DURATION / 4 if options.quick else DURATION)
+        for batch, counts in ((0, (*SLOPES, REVERSE)), (BATCH, SLOPES)):
+            found = measured(asked, counts, batch, discrete)
+            name = as_typed(integrator) + (", discrete" if discrete else "")
+            rows.append({"scene": scene, "integrator": name} | found)
+            print(rows[-1], flush=True)
+        jax.clear_caches()
+    return rows
 
 
 if __name__ == "__main__":
-    main()
+    run_tables({"slopes over the value, CPU time": rows_of})

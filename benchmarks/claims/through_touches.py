@@ -20,7 +20,7 @@ from benchmarks.measure import run_tables
 GRAVITY, CLEARANCE, SPEED, RESTITUTION = 9.81, 1e-3, -0.05, 0.8
 # Ends of runs [s] behind one, two, three and five or six bounces.
 ENDS = (0.025, 0.045, 0.062, 0.09)
-STEPS = (1e-6, 5e-6, 2e-5, 1e-4)
+STEPS = (5e-6, 2e-5, 1e-4)
 # A share of each number, by which differences are taken.
 SHARE = 1e-4
 JOINT = lambda rig: rig.connections["B"].joint
@@ -28,20 +28,15 @@ ELASTIC = lambda rig: JOINT(rig).contact.elastic.stiffness
 BOUNCE = lambda rig: JOINT(rig).contact.dissipation.restitution
 STIFFNESS = lambda rig: JOINT(rig).contact.stiffness
 DAMPING = lambda rig: JOINT(rig).contact.damping
-HERTZIAN = {"stiffness": 1e9, "restitution": RESTITUTION}
 # By law: the law, and which of its numbers vary.
 LAWS: dict[str, tuple] = {
-    "LankaraniNikravesh": (jc.contact.LankaraniNikravesh(**HERTZIAN), ELASTIC, BOUNCE),
-    "Flores": (jc.contact.Flores(**HERTZIAN), ELASTIC, BOUNCE),
-    "KelvinVoigt": (jc.contact.KelvinVoigt(stiffness=1e7, damping=2e2), STIFFNESS, DAMPING),
+    "Flores": (jc.contact.Flores(stiffness=1e9, restitution=RESTITUTION), ELASTIC, BOUNCE),
     "AdamsImpact": (jc.contact.AdamsImpact(stiffness=1e9, damping=2e2), STIFFNESS, DAMPING),
 }
 RIGID = jc.contact.Rigid(restitution=RESTITUTION), lambda rig: JOINT(rig).contact.restitution
 RUNGS: dict[str, Any] = {
     "FixedStep": jc.integrator.FixedStep(),
-    "FixedStep, heun": jc.integrator.FixedStep(method="heun"),
     "FixedStep, semi_implicit": jc.integrator.FixedStep(method="semi_implicit"),
-    "ImplicitStep": jc.integrator.ImplicitStep(),
     "ImplicitStep, rebound 1": jc.integrator.ImplicitStep(rebound=1.0),
 }
 
@@ -121,7 +116,7 @@ def row(law: str, rung: str, step: float | None, found: dict[str, float]) -> dic
 
 def rows_of(options: Any) -> list[dict[str, Any]]:
     """A row for each law, rung and step."""
-    laws, steps = (dict([*LAWS.items()][:1]), STEPS[2:3]) if options.quick else (LAWS, STEPS)
+    laws, steps = (dict([*LAWS.items()][:1]), STEPS[1:2]) if options.quick else (LAWS, STEPS)
     rows = []
     for law, (contact, *numbers) in laws.items():
         wanted = of_the_motion(contact, *numbers)
@@ -130,11 +125,12 @@ def rows_of(options: Any) -> list[dict[str, Any]]:
         for rung, integrator in RUNGS.items():
             problem = asked(contact, integrator, *numbers)
             rows += [row(law, rung, step, errors(problem, wanted, step)) for step in steps]
+            jax.clear_caches()
     problem = asked(RIGID[0], jc.integrator.MoreauJean(), *RIGID[1:])
     values = problem.nominal()
     wanted = np.array([jax.jacfwd(by_hand)(values, end) for end in ENDS])
     return rows + [
-        row("Rigid", "MoreauJean", step, errors(problem, wanted, step)) for step in steps
+        row("Rigid", "MoreauJean", step, errors(problem, wanted, step)) for step in (1e-6, *steps)
     ]
 
 

@@ -323,7 +323,7 @@ def _align_with_columns(steps: np.ndarray, values: Any) -> Any:
 
 def _as_times(times: Any) -> np.ndarray:
     try:
-        instants = np.asarray(times, float)
+        instants = np.array(times, float)
     except (TypeError, ValueError, jax.errors.TracerArrayConversionError):
         instants = np.zeros(0)
     if instants.ndim != 1 or len(instants) < 2 or not np.all(np.isfinite(instants)):
@@ -339,7 +339,8 @@ def _as_times(times: Any) -> np.ndarray:
 def _check_values(values: Any, times: np.ndarray, beyond: str) -> Array:
     """The values as an array, one row for each time."""
     try:
-        array = jnp.asarray(values, float)
+        # Not shared with an array that its owner may change.
+        array = jnp.array(values, float)
     except (TypeError, ValueError):
         array = jnp.zeros(())
     if array.ndim not in (1, 2) or len(array) != len(times):

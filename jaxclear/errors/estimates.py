@@ -277,14 +277,19 @@ def factor_of_cells(surface: AbstractSurface, features: Any, depth: Any, narrow:
 
     Source: Roache 1997, Annu. Rev. Fluid Mech. 29, 123, doi:10.1146/annurev.fluid.29.1.123.
     """
-    resolved = jnp.where(narrow <= Check.WEAR_BY_CELLS.limit, 1 / 3, 1.0)
     sizes = surface.cells_per_contact(features, surface.deepest(depth))
     by_cells, by_wider = (
         math.prod((1.0 + (factor * x) ** 4) ** -0.25 for x in sizes) for factor in (1, 2)
     )
     change = by_cells - by_wider
     widened = jnp.where(change > 0, safe_divide(1.0 - by_cells, change), 0.0)
-    return jnp.maximum(3.0 if surface.flat else SAFETY * resolved, SAFETY * widened)
+    return jnp.maximum(factor_by_order(surface.flat, narrow), SAFETY * widened)
+
+
+def factor_by_order(flat: bool, narrow: Any) -> Any:
+    """That factor of cells that no contact is narrower than (`factor_of_cells`)."""
+    resolved = jnp.where(narrow <= Check.WEAR_BY_CELLS.limit, 1 / 3, 1.0)
+    return 3.0 if flat else SAFETY * resolved
 
 
 def _estimate_error(value: Any, coarse: Any, *rest: Any) -> Any:

@@ -190,11 +190,11 @@ def _verify_by_replicas(
         return Unverified("its steps cannot be refined")
     replicas, ratios = [repeated(half)], [HALF]
     finer: list[Observed] = []
-    path, chaotic = None, None
+    path, chaotic, moved = None, None, (run, coarse)
     while True:
         if not replicas[-1].succeeded:
             return Failed(replicas[-1].result)
-        finer.append(bounds.observe(replicas[-1]))
+        finer.append(bounds.observe(replicas[-1]) if path is None else moved[1])
         pairs = (bounds.differences(run, coarse, other, finer[-1]) for other in finer)
         rows = list(zip(*pairs, strict=True))
         promised = np.array([_number_or_nan(bounds.tolerance(row[-1])) for row in rows])
@@ -203,9 +203,10 @@ def _verify_by_replicas(
         gaps = np.array([row[0].part == "gaps" for row in rows])
         second: tuple[Trajectory, float] | None = None
         if chaotic is None and np.any(gaps & ~np.isnan(promised) & ~(shares <= promised)):
-            moved, limit = repeated(half, TENTH_DIGIT), float(np.nanmin(promised[gaps]))
+            other, limit = repeated(half, TENTH_DIGIT), float(np.nanmin(promised[gaps]))
+            moved = other, bounds.observe(other)
             path, chaotic = _find_chaotic(run, bounds, finer[0], moved, limit)
-            second = None if path is None else (moved, HALF)
+            second = None if path is None else (other, HALF)
         if len(replicas) == 1 and path is None:
             undecided = np.any((shares > DOUBT * promised) & (shares <= promised))
             plan = replica(counting, run.time, QUARTER) if undecided else None
@@ -283,18 +284,22 @@ def _why_unverified(run: Trajectory, verify: bool | None) -> str:
 
 
 def _find_chaotic(
-    run: Trajectory, bounds: Bounds, finer: Observed, moved: Trajectory, limit: float
+    run: Trajectory,
+    bounds: Bounds,
+    finer: Observed,
+    moved: tuple[Trajectory, Observed],
+    limit: float,
 ) -> tuple[np.ndarray | None, np.ndarray]:
     """(from when on [s] a path hangs on the tenth digit of its start, and within which time errors
     grow e-fold [s]; None where it does not; which answers are lost by that), from how far a `finer`
     run and the same with its start `moved` are apart, in gaps by more than the `limit`."""
-    other = bounds.observe(moved)
+    trajectory, other = moved
     differences = bounds.differences(run, finer, other, finer)
     rows = [(row.share, bounds.tolerance(row)) for row in differences]
     chaotic = np.array([most is not None and share > most for share, most in rows])
     off = distance_in_gaps(finer.standard, other.standard)
     beyond = off > limit
-    if not moved.succeeded or not beyond.any():
+    if not trajectory.succeeded or not beyond.any():
         return None, np.zeros(len(rows), bool)
     first = int(np.argmax(beyond))
     elapsed = float(run.time[first] - run.time[0])

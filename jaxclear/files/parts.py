@@ -466,7 +466,7 @@ def _build_part(called: Called, entries: dict, node: Node, path: str, folder: Pa
     for word, entry in entries.items():
         form = forms[word].form
         if entry.value is not None and form is not None:
-            built[word] = form.read(entry, _inner_path(path, word), folder)
+            built[word] = form.read(entry, f"{path}.{word}" if path else word, folder)
     try:
         return build(**built)
     except Misread:
@@ -483,10 +483,6 @@ def _has_no(word: str, names: Mapping[str, Argument]) -> str:
 def _as_sentence(error: Exception) -> str:
     sentence = " ".join(str(error).split())
     return sentence if sentence.endswith((".", "?")) else f"{sentence}."
-
-
-def _inner_path(path: str, word: str) -> str:
-    return f"{path}.{word}" if path else word
 
 
 def _find_kind(word: str, node: Node, kinds: dict, made: dict, path: str) -> Any:

@@ -422,7 +422,7 @@ def _acting_forces(
     memories = _with_shares(unpack_memories(layout, entries), shares)
     reports = contact_reports(system, motions, memories, model.worn)
     followed = unpack_followed(layout, entries, flanks)
-    return forces_at(system, motions, reports, q, v, time, followed), q, v
+    return forces_at(system, motions, reports, time, followed), q, v
 
 
 def _with_shares(memories: dict, shares: Any) -> dict:

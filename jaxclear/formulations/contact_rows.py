@@ -208,7 +208,7 @@ def free_motion(model: Model, time: Any, q: tuple, v: tuple, followed: Followed)
     system = model.system
     motions = kinematics.link_motions(system, q, v, time)
     poses, contacts = contact_points(model, motions)
-    forces = forces_at(system, motions, {}, q, v, time, followed)
+    forces = forces_at(system, motions, {}, time, followed)
     masses, by_subtree = dynamics.equations_of_motion(system, forces)
     closures = ClosureEquations([], [], (), None)
     if system.closures:

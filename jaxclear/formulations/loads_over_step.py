@@ -175,7 +175,7 @@ def solved_loads(system: System) -> dict[str, SolvedLoad]:
         play: Any = train.coupling.play
         middle, half = middle_of(play), 0.5 * play.play
         sides = Side(1.0, middle - half, play), Side(-1.0, middle + half, play)
-        result[play_of(name)] = SolvedLoad(name, sides)
+        result[f"play {name}"] = SolvedLoad(name, sides)
     return result
 
 
@@ -192,11 +192,6 @@ def load_components(system: System) -> tuple[tuple[str, int], ...]:
 def impulse_of(name: str) -> str:
     """What states call the impulse of a load: joints have names of their own."""
     return f"load {name}"
-
-
-def play_of(name: str) -> str:
-    """What states call the impulse of the flanks of a coupling, along its twist."""
-    return f"play {name}"
 
 
 def with_loads(system: System, forces: Forces, solved_forces: dict[str, Any]) -> Forces:

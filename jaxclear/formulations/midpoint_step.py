@@ -416,14 +416,13 @@ def _passive_rates(
     reports = joint_reports(system, free_motion.poses, acting)
     applied = free_motion.forces._replace(reports=reports)
     if layout.energies or step.joints or step.films:
-        motion = unpack_motion(system, [*step.middle.halfway, *step.middle.predicted])
         motions = free_motion.forces.motions
         time, followed = step.time_step.middle, applied.followed
         if step.films:
             # Speeds at its start alternate about those that stiff films determine.
             motion = unpack_motion(system, [*step.middle.halfway, *mean])
             motions = kinematics.link_motions(system, *motion, time)
-        applied = forces_at(system, motions, reports, *motion, time, followed)
+        applied = forces_at(system, motions, reports, time, followed)
         applied = with_films(applied, step.films, forces.films, rates.films)
         pressing += film_losses(system, applied)
     accelerations, multipliers = (

@@ -117,8 +117,7 @@ class Instant(NamedTuple):
         Returns:
             a `Forces`.
         """
-        motion = (self.motions, reports, self.q, self.v, self.time)
-        return forces_at(self.model.system, *motion, self.followed)
+        return forces_at(self.model.system, self.motions, reports, self.time, self.followed)
 
     def pose(self, name: str) -> Pose:
         """Pose of a clearance joint's journal in its bearing.

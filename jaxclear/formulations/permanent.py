@@ -213,7 +213,7 @@ class PermanentContact(AbstractFormulation):
         motion = unpack_motion(system, [*halfway, *middle])
         motions = kinematics.link_motions(system, *motion, time_step.middle)
         followed = unpack_followed(layout, entries)
-        forces = applied_forces(system, motions, {}, *motion, time_step.middle, followed)
+        forces = applied_forces(system, motions, {}, time_step.middle, followed)
         joints = touching(system)
         slips = [sliding_rates(system, motions, one) for one in joints]
         loads = loads_in_step(system, motions, time_step.middle, followed)

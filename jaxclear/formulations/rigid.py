@@ -329,7 +329,7 @@ def _passive(
         motion = unpack_motion(system, [*middle.halfway, *travelled])
         motions = kinematics.link_motions(system, *motion, time_step.middle)
         followed = free_motion.forces.followed
-        acting = applied_forces(system, motions, reports, *motion, time_step.middle, followed)
+        acting = applied_forces(system, motions, reports, time_step.middle, followed)
         acting = with_loads(system, with_friction(system, acting, friction), by_load)
     total = _add_rates(delassus.free, impact.changes, h)
     multipliers = tuple(_add_rates(delassus.multipliers, impact.multipliers, h))

@@ -6,6 +6,10 @@ branch's infinite derivative by zero. In a batch XLA may evaluate an argument tw
 rounding, so that the two `where` disagree: what the formula gives at the harmless point then is the
 answer, and must itself be harmless (nearly zero, never 1). All take and return arrays of one shape,
 are smooth under `vmap`, and define their derivative at the guarded point.
+
+Where a function has a rule of its own for its derivative, its formula has the same one: a second
+derivative through `jax.lax.scan`, the first of both in reverse mode, goes through the formula,
+because JAX forgets the rules of what is known there.
 """
 
 import jax
@@ -193,11 +197,11 @@ def arc_sine(x: Float[Array, "..."]) -> Float[Array, "..."]:
     size = jnp.abs(x)
     # Above 1/2 that of half the angle that is left to a right one.
     steep = size > 0.5
-    square = jnp.where(steep, 0.5 * (1.0 - size), size * size)
-    sine = jnp.where(steep, jnp.sqrt(square), size)
+    square = jnp.where(steep, 0.5 * (1.0 - size), x * x)
+    sine = jnp.where(steep, safe_sqrt(square), x)
     rest = _horner(square, SINE_TOP) / _horner(square, SINE_BOTTOM)
     angle = sine + sine * square * rest
-    return jnp.sign(x) * jnp.where(steep, 0.5 * jnp.pi - 2.0 * angle, angle)
+    return jnp.where(steep, jnp.sign(x) * (0.5 * jnp.pi - 2.0 * angle), angle)
 
 
 @arc_sine.defjvp

@@ -293,7 +293,7 @@ def as_number(value: Any) -> Any:
     if isinstance(value, NO_NUMBERS) or getattr(value, "dtype", FLOAT64).kind not in "fiuV":
         raise ValueError(f"expected one number, got {described(value)}.")
     try:
-        number = value if isinstance(value, jax.Array) else jnp.asarray(np.asarray(value, float))
+        number = value if isinstance(value, jax.Array) else jnp.asarray(np.array(value, float))
     except (TypeError, ValueError, OverflowError):
         raise ValueError(f"expected one number, got {described(value)}.") from None
     if number.dtype != FLOAT64:

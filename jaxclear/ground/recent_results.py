@@ -3,7 +3,6 @@ again."""
 
 import functools
 import threading
-from collections import OrderedDict
 from typing import Any, Generic, TypeVar
 
 import jax
@@ -54,17 +53,19 @@ class Latest(Generic[Value]):
 
     def __init__(self, most: float):
         self.most, self.looking = most, threading.Lock()
-        self.entries: OrderedDict[Any, tuple[Value, float]] = OrderedDict()
+        self.entries: dict[Any, tuple[Value, float]] = {}
 
     def get(self, key: Any) -> Value | None:
         with self.looking:
-            if key not in self.entries:
+            # One comparison of keys, which are large.
+            entry = self.entries.pop(key, None)
+            if entry is None:
                 return None
-            self.entries.move_to_end(key)
-            return self.entries[key][0]
+            self.entries[key] = entry
+            return entry[0]
 
     def keep(self, key: Any, value: Value, size: float = 1.0) -> None:
         with self.looking:
             self.entries[key] = value, size
             while len(self.entries) > 1 and sum(s for _, s in self.entries.values()) > self.most:
-                self.entries.popitem(last=False)
+                del self.entries[next(iter(self.entries))]

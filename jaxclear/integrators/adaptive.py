@@ -71,7 +71,7 @@ TRUSTED = 8e-4
 
 
 def _as_times(values: Any) -> Any:
-    return None if values is None else jnp.asarray(values, float)
+    return None if values is None else jnp.array(values, float)
 
 
 class Adaptive(AbstractIntegrator):

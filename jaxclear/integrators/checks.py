@@ -213,7 +213,8 @@ class Check(AbstractCheck):
         "worn depth",
         SURFACES,
         'the deepest scar of joint "{place}" is hardly wider than a cell, its depth underestimated '
-        "({figure:.2g}, limit {limit:g}): give its Wearing more cells",
+        "({figure:.2g}, limit {limit:g}): give its Wearing more cells, or take shorter steps where "
+        "one moves a contact by more than a cell",
     )
     WEAR_AT_SAVES = (
         34,
@@ -308,7 +309,7 @@ class Figure(AbstractModule):
 class Checks(AbstractShown):
     """The figures by which a run is judged. `print` shows them as a table; `warnings` are the
     sentences of those beyond their limits. After `jax.vmap` every array has the samples in front:
-    `beyond` and `any_beyond` stay arrays, the rest is for one run.
+    `beyond` stays an array, the rest is for one run.
 
     Of all figures together it holds the `worst` and the `time` [s]: a short run would pay for every
     array that it hands over. `named`: the checks in order, each with the names of its places.
@@ -358,13 +359,6 @@ class Checks(AbstractShown):
             check: (figure.worst > check.limit).any(axis=-1)
             for check, figure in self.figures.items()
         }
-
-    def any_beyond(self) -> Bool[Array, "*batch"]:
-        """Whether any figure is beyond its limit."""
-        any_so_far = jnp.zeros((), bool)
-        for beyond in self.beyond().values():
-            any_so_far = any_so_far | beyond
-        return any_so_far
 
     def of_sample(self, index: int) -> "Checks":
         """The figures of one sample of many."""

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxclear.ground.argument_errors import answering
-from jaxclear.ground.arguments import check_count, check_flags
+from jaxclear.ground.arguments import check_count
 from jaxclear.ground.precision import check_double_precision
 from jaxclear.ground.printing import AbstractShown
 from jaxclear.ground.quantity import is_traced
@@ -97,9 +97,7 @@ class Assemblies(AbstractShown):
 
 
 @answering
-def assemblies(
-    mechanism: Mechanism, samples: int = assembly_modes.SEARCHES, *, concentric: bool = True
-) -> Assemblies:
+def assemblies(mechanism: Mechanism, samples: int = assembly_modes.SEARCHES) -> Assemblies:
     """List the ways in which a mechanism can be assembled, as far as searches from random starts
     find them.
 
@@ -110,8 +108,7 @@ def assemblies(
 
     Args:
         mechanism: the mechanism, with numbers.
-        samples: number of searches, >= 1.
-        concentric: whether journals lie in the middle of their bearings.
+        samples: number of searches, >= 1, each with journals in the middle of their bearings.
 
     Returns:
         `Assemblies`, a table to print; `.guess(i)` is what to give as `Mechanism(guess=)`.
@@ -122,13 +119,12 @@ def assemblies(
     check_double_precision()
     check_mechanism(mechanism, "what is assembled")
     check_count("samples of assemblies", samples, at_least=1)
-    check_flags("assemblies", concentric=concentric)
     if is_traced(mechanism):
         raise ValueError(
             "assemblies are listed of a mechanism with numbers; some are traced (by jax.jit, vmap "
             "or grad)."
         )
-    first = first_search(mechanism, concentric)
+    first = first_search(mechanism, True)
     modes = _search_modes(mechanism, first, samples)
     if not modes and first.is_doubted:
         modes = first.without_redundancy().modes(samples)

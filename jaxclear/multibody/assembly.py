@@ -63,7 +63,7 @@ from jaxclear.multibody.start_equations import (
 )
 from jaxclear.multibody.system import readings
 from jaxclear.multibody.topology import Redundancy
-from jaxclear.native import compiled_sooner, in_one
+from jaxclear.native import in_one
 from jaxclear.native.compiled import compiled_quickly
 
 ITERATIONS = 30
@@ -99,7 +99,7 @@ def assemble_arrays(
     """
     problem = start_problem(mechanism, concentric, worn)._replace(straight=straight)
     values = guess(mechanism, problem.system) if rough is None else rough
-    return _solve_start(problem, *values, time, rough is None, call=in_one)
+    return _solve_start(problem, *values, time, rough is None)
 
 
 def _approach_guess(problem: Ask, q: Array, time: Any) -> Array:
@@ -126,23 +126,21 @@ def _solve_start(
     time: Any,
     led: bool = False,
     is_drawn: bool = False,
-    call: Callable[..., Any] = compiled_sooner,
 ) -> Start:
     """The consistent start to which a search leads from rough coordinates and speeds, `led` to what
-    is told of other joints first, or which are the start (`is_drawn`); `call`: how the search is
-    called, and what tells of the start."""
+    is told of other joints first, or which are the start (`is_drawn`)."""
     mechanism = problem.mechanism
     start_check.check_flat_bodies(mechanism, problem.system, motions_at(problem, q, v, time)[2])
     if is_drawn or is_solved(mechanism, problem.concentric):
-        return call(lambda: _make_start(problem, q, v, time))
+        return in_one(lambda: _make_start(problem, q, v, time))
 
     def search():
         start = _approach_guess(problem, q, time) if led else q
         return _searched(problem, start, v, time)
 
     # In a batch more may move the one than the other.
-    there, moving = call(search)
-    return call(lambda: _make_start(problem, there, moving, time))
+    there, moving = in_one(search)
+    return in_one(lambda: _make_start(problem, there, moving, time))
 
 
 def _searched(problem: Ask, q: Array, v: Array, time: Any) -> tuple[Array, Array]:
@@ -260,7 +258,7 @@ def _search_closest(mechanism: Mechanism, time: Any) -> Start:
     """The search for coordinates that miss closed loops by least."""
     problem = start_problem(mechanism, False)
     q, v = guess(mechanism)
-    return compiled_sooner(lambda: _make_start(problem, closest(problem, q, time), v, time))
+    return in_one(lambda: _make_start(problem, closest(problem, q, time), v, time))
 
 
 class Judged(NamedTuple):

@@ -84,14 +84,13 @@ def angles_at_start(
     return angles
 
 
-def states_at_start(system: System, layout: Layout, motions: tuple[Motion, ...]) -> list[Any]:
-    """Initial states of loads and then of transmissions, in the order of `layout.states`.
+def states_at_start(system: System, motions: tuple[Motion, ...]) -> list[Any]:
+    """Initial states of loads and then of transmissions, in the order of a layout's `states`.
 
     A transmission's shaft begins relaxed, its far end where the twist puts it.
 
     Args:
         system: prepared mechanism, as `prepare` returns it.
-        layout: of the state array; its order of loads is that of `system`.
         motions: motion of every link at the start.
     """
     loads = [x.start for _, load in coordinate_loads(system) for x in load.states()]
@@ -122,7 +121,7 @@ def started(
         angles = angles_at_start(mechanism, system, layout.angles, motions)
         state = _set_angles(layout, state, angles)
     if layout.states:
-        first, values = layout.state_start, states_at_start(system, layout, motions)
+        first, values = layout.state_start, states_at_start(system, motions)
         state = state.at[first : first + len(values)].set(sp.stack(values))
     return state
 

@@ -103,8 +103,6 @@ def applied_forces(
     system: System,
     motions: tuple[Motion, ...],
     reports: dict[str, JointReport],
-    q: tuple,
-    v: tuple,
     time: Any,
     followed: Followed = NOTHING_FOLLOWED,
 ) -> Forces:
@@ -114,8 +112,6 @@ def applied_forces(
         system: prepared mechanism, as `prepare` returns it.
         motions: motion of every link at one instant, in the order of `system.links`.
         reports: of clearance joints, by joint; empty where contacts are solved elsewhere.
-        q: coordinates, a tuple for each link.
-        v: speeds, a tuple for each link.
         time: instant [s] of the loads.
         followed: what the state integrates beside the motion: whole-turn angles, load states,
             flanks.
@@ -397,6 +393,25 @@ def force_of(
     effect, _ = load_rows(system, motions, name, time, followed)
     coupled = isinstance(load, AbstractForceCoupling)
     return jnp.asarray(load.transmitted(effect) if coupled else effect.forces[0], float)
+
+
+def forces_of_load(
+    system: System, motions: tuple[Motion, ...], name: str, time: Any, followed: Followed
+) -> Any:
+    """All that a load or force coupling gives at an instant [N, N m], nested tuples of numbers.
+
+    Args:
+        system: prepared mechanism, as `prepare` returns it.
+        motions: motion of every link at one instant, in the order of `system.links`.
+        name: of the load or coupling.
+        time: instant [s].
+        followed: whole-turn angles, load states and flanks.
+    """
+    load = system.loads[name]
+    if isinstance(load, AbstractBodyLoad):
+        actions = effect_of(system, name, load, motions, time).actions
+        return tuple((action.force, action.torque) for action in actions)
+    return load_rows(system, motions, name, time, followed)[0].forces
 
 
 def transmitting(system: System) -> tuple[str, ...]:

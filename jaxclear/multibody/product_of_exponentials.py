@@ -232,16 +232,14 @@ class TipError(eqx.Module):
     """Departure of the tip from its nominal pose, twists [m, rad] linear then angular in the axes
     of the nominal tip.
 
-    `exact`: logarithm of the displacement; `deviations` and `motions`: what the deviation and the
-    motion of each joint give to first order, `None` where they cannot differ; `plays`: the
-    deviations taken apart, by name; `pointing_angle` [rad] between the tips' z axes;
-    `position_error` [m] between their origins.
+    `exact`: logarithm of the displacement; `deviations`: what the deviation of each joint gives to
+    first order, `None` where there is none; `plays`: the deviations taken apart, by name;
+    `pointing_angle` [rad] between the tips' z axes; `position_error` [m] between their origins.
     """
 
     exact: TwistVector
     deviations: tuple[TwistVector | None, ...]
     plays: dict[str, tuple[TwistVector | None, ...]]
-    motions: tuple[TwistVector | None, ...]
     pointing_angle: Float[Array, ""]
     position_error: Float[Array, ""]
 
@@ -305,16 +303,14 @@ def forward_kinematics(chain: Chain, configuration: ChainConfiguration) -> Trans
     return pose
 
 
-def tips_from_joints(
-    chain: Chain, configuration: ChainConfiguration
-) -> list[tuple[Transform, Transform]]:
-    """The nominal tip as the parent's and the child's marker of each joint see it."""
+def tips_from_joints(chain: Chain, configuration: ChainConfiguration) -> list[Transform]:
+    """The nominal tip as the parent's marker of each joint sees it."""
     ahead, view = jnp.eye(4), []
     parts = zip(chain.joints, configuration.motions, chain.fixed_transforms()[1:], strict=True)
     for joint, motion, fixed in reversed(list(parts)):
         after = fixed @ ahead
         ahead = joint.onward(motion) @ after
-        view.append((ahead, after) if joint.forward else (after, ahead))
+        view.append(ahead if joint.forward else after)
     return view[::-1]
 
 
@@ -328,58 +324,28 @@ def _carry_to_tip(chain: Chain, tips: list[Transform], twists: Any) -> tuple:
     )
 
 
-def _change(now: Any, then: Any) -> Any:
-    """now - then, where `None` is zero."""
-    if then is None:
-        return now
-    return -then if now is None else now - then
-
-
-def tip_error(
-    chain: Chain,
-    actual: ChainConfiguration,
-    nominal_chain: Chain | None = None,
-    nominal: ChainConfiguration | None = None,
-) -> TipError:
-    """Exact and first-order error of the tip; pure, maps and differentiates.
-
-    Without `nominal`, against the same chain at the same motions without deviations.
+def tip_error(chain: Chain, actual: ChainConfiguration) -> TipError:
+    """Exact and first-order error of the tip against the same chain at the same motions without
+    deviations; pure, maps and differentiates.
 
     Args:
-        chain: as it is.
+        chain: from base to tip.
         actual: motions and deviations of its joints.
-        nominal_chain: chain of the same connections whose fixed dimensions may differ, which
-            counts in
-            the exact error only; None: the same.
-        nominal: configuration about which the first order is taken; None: `actual` without
-            deviations.
     """
-    start_chain = chain if nominal_chain is None else nominal_chain
-    start = actual.ideal() if nominal is None else nominal
-    tips = tips_from_joints(start_chain, start)
-    changes = [
-        _change(now, then) for now, then in zip(actual.deviations, start.deviations, strict=True)
-    ]
-    turns: list[Any] = [None] * len(changes)
-    if nominal is not None:
-        turns = logarithms(
-            [inverse(then) @ now for then, now in zip(nominal.motions, actual.motions, strict=True)]
-        )
-    displacement = inverse(forward_kinematics(start_chain, start)) @ forward_kinematics(
-        chain, actual
-    )
+    nominal = actual.ideal()
+    tips = tips_from_joints(chain, nominal)
+    displacement = inverse(forward_kinematics(chain, nominal)) @ forward_kinematics(chain, actual)
     x, y, z = displacement[:3, 2]
     away = displacement[:3, 3]
-    parents = [parent for parent, _ in tips]
+    deviations = actual.deviations
     plays = {
-        play: [None if change is None else jnp.array(part, float) * change for change in changes]
+        play: [None if d is None else jnp.array(part, float) * d for d in deviations]
         for play, part in PLAYS.items()
     }
     return TipError(
         logarithms([displacement])[0],
-        _carry_to_tip(start_chain, parents, changes),
-        {play: _carry_to_tip(start_chain, parents, twists) for play, twists in plays.items()},
-        _carry_to_tip(start_chain, [child for _, child in tips], turns),
+        _carry_to_tip(chain, tips, deviations),
+        {play: _carry_to_tip(chain, tips, twists) for play, twists in plays.items()},
         jnp.arctan2(safe_sqrt(x * x + y * y), z),
         safe_sqrt(jnp.sum(away * away)),
     )

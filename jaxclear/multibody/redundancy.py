@@ -34,7 +34,7 @@ from jaxclear.multibody.start_equations import (
     start_problem,
 )
 from jaxclear.multibody.topology import Redundancy
-from jaxclear.native import compiled_sooner
+from jaxclear.native import in_one
 from jaxclear.native.compiled import compiled_quickly
 
 # A singular value this share of the largest, or less, is zero. Near a position where rows are
@@ -156,23 +156,28 @@ def with_search(redundancy: Redundancy | None, start: Start) -> Redundancy:
 
 def _most_of_rank(mechanism: Mechanism, rows: tuple[Row, ...], start: Start, time: Any) -> Place:
     """The start, or the position near it in which the rows are of a larger rank."""
-    mechanism, time = without_stabilisation(mechanism), jnp.asarray(time, float)
-    scales = np.asarray(speed_scales(start_problem(mechanism, False)))
-    best = _place_of(mechanism, rows, start.coordinates, time)
+    mechanism, begin = without_stabilisation(mechanism), np.asarray(start.coordinates)
+    scales, instant = np.asarray(_scales_of(mechanism)), np.asarray(time, float)
+    best = _place_of(mechanism, rows, start.coordinates, jnp.asarray(instant))
     arm = float(best.arm)
     free = np.linalg.svd(best.jacobian)[2][best.rank :]
     random = np.random.default_rng(0)
     times = (LATER if mechanism.driven else LATER[:1]) if len(scales) else ()
-    for later in jnp.asarray(times):
+    for now in (jnp.asarray(instant + later) for later in times):
         for _ in range(DIRECTIONS if len(free) else 1):
             direction = random.normal(size=len(free)) @ free
             step = MOVED * direction / max(np.linalg.norm(direction), 1e-300) * scales
-            q, rest = _moved(mechanism, start.coordinates, jnp.asarray(step), time + later)
-            far = np.max(np.abs(np.asarray(q - start.coordinates)), initial=0.0)
+            q, rest = _moved(mechanism, start.coordinates, jnp.asarray(step), now)
+            far = np.max(np.abs(np.asarray(q) - begin), initial=0.0)
             if float(rest) <= CLOSED * max(arm, 1.0) and far <= NEAR * max(arm, 1.0):
-                place = _place_of(mechanism, rows, q, time + later)
+                place = _place_of(mechanism, rows, q, now)
                 best = place if place.rank > best.rank else best
     return best
+
+
+@compiled_quickly
+def _scales_of(mechanism: Mechanism) -> Array:
+    return speed_scales(start_problem(mechanism, False))
 
 
 @compiled_quickly
@@ -185,7 +190,7 @@ def _moved(mechanism: Mechanism, q: Array, step: Array, time: Any) -> tuple[Arra
         rest = stacked(problem, blocks_of(problem, there, time))[1]
         return there, jnp.max(jnp.abs(rest), initial=0.0)
 
-    return compiled_sooner(close)
+    return in_one(close)
 
 
 @compiled_quickly
@@ -209,7 +214,7 @@ def _place_of(mechanism: Mechanism, rows: tuple[Row, ...], q: Array, time: Any) 
         jacobian = stacked(problem, blocks_of(problem, q, time))[0] * speed_scales(problem)
         return jacobian, jax.lax.map(functools.partial(through, motions), jnp.eye(len(rows)))
 
-    jacobian, forces = compiled_sooner(placed)
+    jacobian, forces = in_one(placed)
     return Place(jacobian, forces, problem.arm)
 
 

@@ -74,7 +74,6 @@ from jaxclear.native.derivative_rules import by_columns as by_columns
 from jaxclear.native.derivative_rules import forwards_only as forwards_only
 from jaxclear.native.loop import has_kernels as has_kernels
 from jaxclear.native.program import size_of as size_of
-from jaxclear.native.rows import compiled_sooner as compiled_sooner
 from jaxclear.native.rows import in_one as in_one
 from jaxclear.native.rows import one_by_one as one_by_one
 from jaxclear.native.rows import one_row as one_row

@@ -23,9 +23,6 @@ from jaxclear.native.while_loops import as_kernel, scan
 # Operations up to which a function is short: a body's place has some 100, the reactions of a
 # slider-crank have 456.
 SHORT = 200
-# Operations from which on what runs once is a kernel: to compile and optimise 2 500 of them LLVM
-# takes as long as XLA (0.5 s), for 47 000 a quarter of the time (5 s) and of the memory.
-LONG = 2500
 # Rows that a kernel is handed at a time: constants come with every row.
 AT_A_TIME = 1024
 
@@ -34,7 +31,7 @@ def over_rows(function: Callable, *rows: Any) -> Any:
     """As `jax.vmap(function)(*rows)`. Derivatives of long functions are taken row by row."""
     first = jax.tree.map(lambda each: jax.ShapeDtypeStruct(each.shape[1:], each.dtype), rows)
     traced = jax.jit(function)
-    if _is_short(traced, first, SHORT):
+    if _is_short(traced, first):
         return jax.vmap(traced)(*rows)
     one = jax.vmap(lambda row: as_kernel(traced, *row))
     count = len(jax.tree.leaves(rows)[0])
@@ -58,7 +55,7 @@ def one_row(function: Callable, *numbers: Any) -> Any:
     """As `function(*numbers)`, a kernel where that is long: XLA takes a millisecond and more to
     compile each of its operations."""
     traced = jax.jit(function)
-    return (traced if _is_short(traced, numbers, SHORT) else functools.partial(as_kernel, traced))(
+    return (traced if _is_short(traced, numbers) else functools.partial(as_kernel, traced))(
         *numbers
     )
 
@@ -66,23 +63,13 @@ def one_row(function: Callable, *numbers: Any) -> Any:
 def in_one(function: Callable, *numbers: Any) -> Any:
     """As `function(*numbers)`, one kernel where it is long and all of it can be one; otherwise as
     it is, and nobody is told."""
-    return _kernel_if_above(SHORT, function, numbers)
-
-
-def compiled_sooner(function: Callable, *numbers: Any) -> Any:
-    """As `in_one`, where a kernel also compiles in less time and memory than XLA takes: for what
-    runs once."""
-    return _kernel_if_above(LONG, function, numbers)
-
-
-def _kernel_if_above(operations: int, function: Callable, numbers: Any) -> Any:
     traced = jax.jit(function)
     long = functools.partial(as_kernel, traced, vmapped=True)
-    return (traced if _is_short(traced, numbers, operations) else long)(*numbers)
+    return (traced if _is_short(traced, numbers) else long)(*numbers)
 
 
-def _is_short(function: Callable, numbers: Any, operations: int) -> bool:
-    return operations_of(jax.make_jaxpr(function)(*numbers).jaxpr) <= operations
+def _is_short(function: Callable, numbers: Any) -> bool:
+    return operations_of(jax.make_jaxpr(function)(*numbers).jaxpr) <= SHORT
 
 
 def operations_of(program: Jaxpr) -> int:

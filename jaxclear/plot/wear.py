@@ -150,22 +150,13 @@ def _root_norm(values):
 
 
 @answering
-def wear_surface(
-    run: Trajectory,
-    joint: str,
-    surface: str = "bearing",
-    exaggeration: float | None = None,
-    *,
-    ax: Any = None,
-) -> Any:
-    """The worn wall in space, with its depth exaggerated.
+def wear_surface(run: Trajectory, joint: str, surface: str = "bearing", *, ax: Any = None) -> Any:
+    """The worn wall in space, its deepest place drawn as a fifth of the radius.
 
     Args:
         run: the run.
         joint: name of the joint.
         surface: name of the surface; "bearing" by default.
-        exaggeration: factor of the depth [1]; by default the deepest place is drawn as a fifth of
-            the radius.
         ax: `matplotlib.axes.Axes` with projection="3d" to draw in; by default a new figure.
 
     Returns:
@@ -183,7 +174,7 @@ def wear_surface(
     wall = _wall_of_surface(wear_map, surface)
     radius = float(wear_map.radius)
     deepest = float(depth.max())
-    drawn = DEPTH_SHARE * radius / (deepest or 1.0) if exaggeration is None else exaggeration
+    drawn = DEPTH_SHARE * radius / (deepest or 1.0)
     ringed = np.vstack([depth[-1:], depth, depth[:1]])
     padded = np.pad(ringed, ((0, 0), (1, 1)), mode="edge")
     corners = 0.25 * (padded[:-1, :-1] + padded[1:, :-1] + padded[:-1, 1:] + padded[1:, 1:])

@@ -7,8 +7,7 @@ the z axis of the tip is its boresight.
 Error of a tip over the saving times of a run: a marker's pose against that of the same chain
 with ideal joints.
 
-The arithmetic of one instant is `multibody.product_of_exponentials`; here it is mapped over a run,
-against itself or against another run.
+The arithmetic of one instant is `multibody.product_of_exponentials`; here it is mapped over a run.
 """
 
 from typing import Any
@@ -36,9 +35,6 @@ from jaxclear.multibody.product_of_exponentials import (
 )
 from jaxclear.native.compiled import compiled_quickly
 from jaxclear.results.trajectory import Trajectory
-
-# How far saving times of two runs may differ, as a share of the duration: rounding.
-SAME_TIME = 1e-9
 
 
 def checked_tip(tip: Any) -> Marker:
@@ -93,11 +89,7 @@ def _lean_of_joint(trajectory: Trajectory, name: str) -> Any:
 
 
 def tip_errors(
-    trajectory: Trajectory,
-    tip: Marker,
-    base: str,
-    through: tuple[str, ...],
-    nominal: Trajectory | None = None,
+    trajectory: Trajectory, tip: Marker, base: str, through: tuple[str, ...]
 ) -> tuple[Chain, ChainConfiguration, TipError]:
     """The chain, its configuration, and the error of its tip, over the saving times (first axis).
 
@@ -106,53 +98,17 @@ def tip_errors(
         tip: marker on the last body.
         base: "ground" or a body, from which the tip is seen.
         through: names of connections on the path from base to tip.
-        nominal: run to compare with; None: ideal joints at the coordinates of the run itself.
-
-    Raises:
-        ValueError: the two runs have other chains or saving times.
     """
-    ours = chain(trajectory.mechanism, base, tip, through)
-    actual = configurations(trajectory, ours)
-    if nominal is None:
-        return ours, actual, _errors_at(ours, actual, None, None)
-    theirs = chain(nominal.mechanism, base, tip, through)
-    steps, other_steps = (
-        [(joint.name, joint.forward) for joint in links.joints] for links in (ours, theirs)
-    )
-    if steps != other_steps:
-        raise ValueError(
-            f"the chain of the run goes by {', '.join(ours.names)}, that of the nominal run by "
-            f"{', '.join(theirs.names)}; "
-            "they must be the same connections, from the same side."
-        )
-    _check_times(trajectory, nominal)
-    return ours, actual, _errors_at(ours, actual, theirs, configurations(nominal, theirs))
+    links = chain(trajectory.mechanism, base, tip, through)
+    actual = configurations(trajectory, links)
+    return links, actual, _errors_at(links, actual)
 
 
 @compiled_quickly
-def _errors_at(links, actual, other, nominal):
-    return jax.vmap(lambda now, then: tip_error(links, now, other, then))(actual, nominal)
+def _errors_at(links, actual):
+    return jax.vmap(lambda now: tip_error(links, now))(actual)
 
 
-def _check_times(run: Trajectory, nominal: Trajectory) -> None:
-    if run.time.shape != nominal.time.shape:
-        raise ValueError(
-            f"the run has {run.time.shape[0]} saving times, the nominal run "
-            f"{nominal.time.shape[0]}; simulate both with the same."
-        )
-    if isinstance(run.time, jax.core.Tracer) or isinstance(nominal.time, jax.core.Tracer):
-        return
-    times, others = np.asarray(run.time), np.asarray(nominal.time)
-    if np.abs(times - others).max() > SAME_TIME * np.abs(times).max():
-        raise ValueError(
-            "the run and the nominal run are saved at different times; simulate both with the same "
-            "`save`."
-        )
-
-
-# What differences of the joints' motion contribute, beside their deviations, where the nominal pose
-# is another run's.
-MOTION = "motion"
 # Components of a twist that displace the tip, and those that turn its z axis.
 PLACE, ACROSS = slice(0, 3), slice(3, 5)
 # Weakest signal [m, rad] that is told from rounding when shares are formed.
@@ -171,8 +127,7 @@ class PointingError(AbstractShown):
         exact: logarithm of the displacement from the nominal to the actual tip [m, rad], shape
             (time, 6).
         model: its first-order approximation, the sum of `contributions` [m, rad], shape (time, 6).
-        contributions: twist of the tip that each joint causes [m, rad], shape (time, 6), by joint;
-            "motion" for differing coordinates against another run.
+        contributions: twist of the tip that each joint causes [m, rad], shape (time, 6), by joint.
         plays: these by joint and direction of its play [m, rad], shape (time, 6).
         deviations: twist of each joint from its ideal [m, rad], shape (time, 6), in the bearing's
             axes.
@@ -181,7 +136,7 @@ class PointingError(AbstractShown):
         names: names of the contributions.
         tip: body of the tip.
         base: body from which the tip is seen.
-        warnings: warnings of the runs.
+        warnings: warnings of the run.
     """
 
     time: np.ndarray
@@ -213,8 +168,8 @@ class PointingError(AbstractShown):
             shares [1]; its last rows are the model's error and the exact one.
         """
         check_flags("budget", by_play=by_play)
-        parts = self._labelled_twists(by_play)
-        rows = {name: self._twist_row(twist) | self._twist_shares(twist) for name, twist in parts}
+        parts = self.plays if by_play else self.contributions
+        rows = {n: self._twist_row(twist) | self._twist_shares(twist) for n, twist in parts.items()}
         rows["model"] = self._twist_row(self.model) | self._twist_shares(self.model)
         unshared = dict.fromkeys(self._twist_shares(self.model), np.nan)
         rows["exact"] = _rms_and_max(self.pointing_angle, self.position_error) | unshared
@@ -243,12 +198,6 @@ class PointingError(AbstractShown):
         }
         about: dict[str, Any] = {"tip": self.tip, "base": self.base, "warnings": self.warnings}
         return dataset(columns, coordinates, what="pointing error", **about)
-
-    def _labelled_twists(self, by_play):
-        if not by_play:
-            return [(name, self.contributions[name]) for name in self.names]
-        motion = {name: self.contributions[name] for name in self.names if name == MOTION}
-        return list((self.plays | motion).items())
 
     def _twist_row(self, twist):
         return _rms_and_max(turn(twist), shift(twist))
@@ -341,16 +290,14 @@ def pointing_error(
     base: str = GROUND,
     *,
     through: str | tuple[str, ...] = (),
-    nominal: Trajectory | None = None,
 ) -> PointingError:
     """Error of a tip relative to a base over the saving times of a run, joint by joint.
 
-    Without `nominal` the error is that against ideal joints at the coordinates of the run itself:
-    the part that clearances cause in an antenna that measures its joint angles. With `nominal`, the
-    joints' coordinates differ as well, which appears as a contribution "motion". A joint with
-    clearance deviates by the motion that the ideal joint of its kind (its `ideal_rows`) would
-    prevent: the tilt of a `PlanarJournalBearing` is motion and no error. The model is of first
-    order, for small deviations.
+    The error is that against ideal joints at the coordinates of the run itself: the part that
+    clearances cause in an antenna that measures its joint angles. A joint with clearance deviates
+    by the motion that the ideal joint of its kind (its `ideal_rows`) would prevent: the tilt of a
+    `PlanarJournalBearing` is motion and no error. The model is of first order, for small
+    deviations.
 
     Args:
         trajectory: the run.
@@ -358,69 +305,38 @@ def pointing_error(
         base: name of the body from which the tip is seen; "ground" by default.
         through: names of connections (or one name) that the chain from base to tip passes, needed
             where there are several chains.
-        nominal: a run of the ideal mechanism with the same saving times; None by default.
 
     Returns:
         The `PointingError`.
 
     Raises:
-        ValueError: if there is no such tip, base or chain, if the chain is not serial, or if the
-            runs have different chains or saving times.
+        ValueError: if there is no such tip, base or chain, or if the chain is not serial.
     """
-    _check_nominal(trajectory, nominal)
+    required = "a run, as jaxclear.simulate returns it"
+    expect(trajectory, Trajectory, "what pointing_error is given", required)
     expect(base, str, "base", "the name of a body")
     links, configuration, errors = tip_errors(
-        trajectory, checked_tip(tip), base, checked_through(through), nominal
+        trajectory, checked_tip(tip), base, checked_through(through)
     )
-    contributions = _twists_by_joint(links, errors, nominal is not None)
+    twists = zip(links.joints, errors.deviations, strict=True)
+    contributions = {joint.name: np.asarray(twist) for joint, twist in twists if not joint.ideal}
     deviations = zip(links.names, configuration.deviations, strict=True)
     return PointingError(
         np.asarray(trajectory.time),
         np.asarray(errors.exact),
         sum(contributions.values(), np.zeros_like(np.asarray(errors.exact))),
         contributions,
-        _twists_by_play(links, errors),
+        {
+            f"{joint.name} {play}": np.asarray(twists[k])
+            for k, joint in enumerate(links.joints)
+            if not joint.ideal
+            for play, twists in errors.plays.items()
+        },
         {name: np.asarray(twist) for name, twist in deviations if twist is not None},
         np.asarray(errors.pointing_angle),
         np.asarray(errors.position_error),
         tuple(contributions),
         checked_tip(tip).body,
         base,
-        trajectory.warnings + (() if nominal is None else nominal.warnings),
+        trajectory.warnings,
     )
-
-
-def _check_nominal(trajectory: Trajectory, nominal: Trajectory | None) -> None:
-    for run in (trajectory, *([] if nominal is None else [nominal])):
-        required = "a run, as jaxclear.simulate returns it"
-        expect(run, Trajectory, "what pointing_error is given", required)
-    if nominal is not None and MOTION in trajectory.mechanism.connections:
-        raise ValueError(
-            f'joint "{MOTION}" bears the name of the contribution of differing coordinates; '
-            "rename it."
-        )
-
-
-def _twists_by_play(links: Chain, errors: TipError) -> dict[str, np.ndarray]:
-    """Twists of the tip by joint and play, as "J1 across"."""
-    return {
-        f"{joint.name} {play}": np.asarray(twists[k])
-        for k, joint in enumerate(links.joints)
-        if not joint.ideal
-        for play, twists in errors.plays.items()
-    }
-
-
-def _twists_by_joint(links: Chain, errors: TipError, with_motion: bool) -> dict[str, np.ndarray]:
-    """Twists of the tip by joint, and what the joints' motions give beside them."""
-    twists, missing = {}, []
-    for joint, twist in zip(links.joints, errors.deviations, strict=True):
-        if not joint.ideal:
-            twists[joint.name] = np.asarray(twist)
-        elif twist is not None:
-            # A nominal joint with clearance where this run has an ideal one: its deviation is
-            # missing here and counts as motion.
-            missing.append(np.asarray(twist))
-    if with_motion:
-        twists[MOTION] = np.sum(np.asarray([*errors.motions, *missing]), axis=0)
-    return twists

@@ -11,6 +11,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from jaxclear.components.body import GROUND
@@ -295,7 +296,7 @@ class State(AbstractQuantified):
         check_flags("State", concentric=concentric)
         if worn is not None:
             expect(worn, Mapping, "worn of a State", "a dictionary by joint, such as run.worn")
-            worn = {joint: dict(_check_surfaces(joint, depths)) for joint, depths in worn.items()}
+            worn = {joint: _check_surfaces(joint, depths) for joint, depths in worn.items()}
         if motion is not None:
             expect(motion, SavedMotion, "motion of a State", "that of a run, run.state().motion")
         self.worn, self.concentric, self.motion = worn, concentric, motion
@@ -322,4 +323,5 @@ class State(AbstractQuantified):
 
 def _check_surfaces(joint: Any, depths: Any) -> Mapping:
     expect(depths, Mapping, f'worn["{joint}"] of a State', "a dictionary of depths by surface")
-    return depths
+    copy = lambda each: each.copy() if isinstance(each, np.ndarray) else each
+    return {surface: copy(each) for surface, each in depths.items()}

@@ -22,15 +22,20 @@ import numpy as np
 from jaxclear.components.drive import AbstractDrive
 from jaxclear.components.function_of_time import AbstractFunctionOfTime
 from jaxclear.components.joint.base import drive_of
-from jaxclear.components.load_base import acts_on_coordinates
+from jaxclear.components.load_base import AbstractLoad, AbstractStateLoad
+from jaxclear.formulations.state_rate import coordinate_rates
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.quantity import concrete, constant, is_traced, on_device, on_host
 from jaxclear.ground.recent_results import Key
 from jaxclear.integrators.adaptive import Adaptive
 from jaxclear.integrators.base import SLIVER, AbstractIntegrator
 from jaxclear.integrators.checks import Check, Checks, Figure
+from jaxclear.multibody.forces import forces_of_load
+from jaxclear.multibody.kinematics import link_motions
 from jaxclear.multibody.mechanism import Mechanism
+from jaxclear.multibody.state import unpack_followed, unpack_motion
 from jaxclear.native.compiled import compiled_quickly
+from jaxclear.results.state_history import StateHistory
 from jaxclear.results.trajectory import Trajectory
 
 # Instants at which a function is looked at: so many in a step, and in the whole run at least and at
@@ -129,13 +134,6 @@ def checked_by(missed: dict[str, Any], checks: Checks) -> Checks:
     return Checks.of(checks.figures | {Check.LOAD_STEP: figure})
 
 
-def judged_by(missed: dict[str, Any], run: Trajectory) -> Trajectory:
-    """The run with it."""
-    return (
-        dataclasses.replace(run, invariants=checked_by(missed, run.invariants)) if missed else run
-    )
-
-
 def load_steps(mechanism: Mechanism, integrator: AbstractIntegrator, times: Any) -> LoadSteps:
     """Whether the steps of a run resolve its functions of time.
 
@@ -181,7 +179,9 @@ def _find_breaks(question: Key) -> tuple[np.ndarray, dict[str, float]]:
     that others pass over."""
     everything, times, step, fixed = question.arguments
     functions = {name: each for name, each in everything.items() if is_changing(each)}
-    check_finite(functions, times)
+    # Between saving times a load along a run may be asked where the run never was.
+    given = {name: each for name, each in functions.items() if not isinstance(each, _AlongRun)}
+    check_finite(given, times)
     if not functions:
         return np.zeros(0), {}
     if step is not None or fixed is not None:
@@ -335,42 +335,74 @@ def _with_traced_breaks(
 
 class _AlongRun(eqx.Module):
     """What a load does along a run, as a function of time [s]: coordinates are cubic polynomials
-    between its saving times."""
+    between its saving times, all else of the state goes straight."""
 
-    load: Any
-    times: Any
-    pieces: Any
+    name: str = eqx.field(static=True)
+    history: StateHistory
 
     def __call__(self, time):
-        i = jnp.clip(jnp.searchsorted(self.times, time, side="right") - 1, 0, len(self.times) - 2)
-        place_at = lambda after: jnp.polyval(self.pieces[:, i], after)
-        places, speeds = jax.jvp(place_at, (time - self.times[i],), (1.0,))
-        states = tuple(jnp.asarray(each.start, float) for each in self.load.states())
-        return self.load.effect(time, tuple(places), tuple(speeds), states).forces
+        model, times, states = self.history.model(), self.history.time, self.history.states
+        system, layout = model.system, model.layout
+        i = jnp.clip(jnp.searchsorted(times, time, side="right") - 1, 0, len(times) - 2)
+        length, begin, change = times[i + 1] - times[i], states[i], states[i + 1] - states[i]
+        share = (time - times[i]) / length
+
+        def bend(row):
+            rates = jnp.stack([*coordinate_rates(system, *unpack_motion(system, row))])
+            return length * rates - change[: layout.coordinates]
+
+        row = begin + share * change
+        if layout.coordinates:
+            bent = (1 - share) * bend(begin) - share * bend(states[i + 1])
+            row = row.at[: layout.coordinates].add(share * (1 - share) * bent)
+        entries = [row[k] for k in range(layout.size)]
+        motions = link_motions(system, *unpack_motion(system, entries), time)
+        return forces_of_load(system, motions, self.name, time, unpack_followed(layout, entries))
+
+
+def run_felt(
+    make_run: Callable[[AbstractIntegrator], Trajectory],
+    integrator: AbstractIntegrator,
+    passed: dict[str, Any],
+) -> tuple[Trajectory, AbstractIntegrator]:
+    """A run, repeated where its steps are to end at what loads of the user's own do along it, and
+    judged by what steps pass over; and the integrator that made it.
+
+    Args:
+        make_run: a run by an integrator.
+        integrator: as `load_steps` returns it.
+        passed: shares of functions of time that its steps pass over, by name.
+    """
+    run = make_run(integrator)
+    # A program repeats it once, whatever it feels: what is traced cannot decide.
+    for _ in range(1 if is_traced(run.outcome) else 2):
+        refined, more = felt_along(run, integrator)
+        passed = passed | more
+        if refined is integrator:
+            break
+        integrator, run = refined, make_run(refined)
+    if passed:
+        run = dataclasses.replace(run, invariants=checked_by(passed, run.invariants))
+    return run, integrator
+
+
+def own_loads(mechanism: Mechanism) -> list[str]:
+    """Names of the loads and force couplings of the user's own, but of those that are sampled."""
+    ours, present = __name__.partition(".")[0], mechanism.loads | mechanism.couplings
+    return [
+        name
+        for name, load in present.items()
+        if type(load).__module__.partition(".")[0] != ours
+        and isinstance(load, AbstractLoad)
+        and not (isinstance(load, AbstractStateLoad) and load.sampled_every() is not None)
+    ]
 
 
 def felt_along(run: Trajectory, integrator: AbstractIntegrator) -> LoadSteps:
-    """The same for what loads of the user's own on coordinates do along a run; the integrator
-    itself where the run has felt them."""
-    ours = __name__.partition(".")[0]
-    present: dict[str, Any] = dict(run.mechanism.loads)
-    loads = {
-        name: load
-        for name, load in present.items()
-        if type(load).__module__.partition(".")[0] != ours
-        and acts_on_coordinates(load)
-        and load.sampled_every() is None
-    }
-    if not loads or not (is_traced(run) or run.succeeded):
+    """As `load_steps`, of what loads of the user's own do along a run; the integrator itself where
+    the run has felt them."""
+    names = own_loads(run.mechanism)
+    if not names or not (is_traced(run) or run.succeeded):
         return LoadSteps(integrator, {})
-    functions, times, of = {}, run.time, jnp if is_traced(run) else np
-    lengths = of.diff(times)[:, None]
-    for name, load in loads.items():
-        read = lambda what, load=load: of.stack([of.ravel(what(x)) for x in load.coordinates()], 1)
-        places, speeds = read(run.coordinate), read(run.speed)
-        slopes, begin, end = of.diff(places, axis=0) / lengths, speeds[:-1], speeds[1:]
-        cubic = (begin + end - 2 * slopes) / lengths**2
-        square = (3 * slopes - 2 * begin - end) / lengths
-        pieces = jnp.asarray(of.stack([cubic, square, begin, places[:-1]]))
-        functions[name] = _AlongRun(load, jnp.asarray(times), pieces)
-    return _examine(functions, integrator, times)
+    history = dataclasses.replace(run.history, read={})
+    return _examine({name: _AlongRun(name, history) for name in names}, integrator, run.time)

@@ -51,7 +51,7 @@ from jaxclear.simulation.derivatives import (
     until_the_end,
 )
 from jaxclear.simulation.initial_state import Beginning, beginning, state_of
-from jaxclear.simulation.load_steps import LoadSteps, felt_along, judged_by, load_steps
+from jaxclear.simulation.load_steps import LoadSteps, load_steps, run_felt
 from jaxclear.simulation.loop import Extras, run
 from jaxclear.simulation.not_finite import message_of_the_end
 from jaxclear.simulation.sampling import check_instants
@@ -355,15 +355,9 @@ def _simulate_once(
                 return result
 
         with stoppable():
-            run = again(Replica(integrator, saved))
-            # A program repeats it once, whatever it feels: what is traced cannot decide.
-            for _ in range(1 if is_traced(run.outcome) else 2):
-                refined, more = felt_along(run, integrator)
-                shares = shares | more
-                if refined is integrator:
-                    break
-                integrator, run = refined, again(Replica(refined, saved))
-            run = judged_by(shares, until_the_end(diagnosed(guarded(run, integrator))))
+            make_run = lambda steps: again(Replica(steps, saved))
+            run, integrator = run_felt(make_run, integrator, shares)
+            run = until_the_end(diagnosed(guarded(run, integrator)))
             if is_traced(sound):
                 outcome = jnp.where(sound, run.outcome, Outcome.UNASSEMBLED)
                 ended = jnp.where(sound, run.ended, saved[0])

@@ -32,6 +32,7 @@ from jaxclear.multibody.start_equations import retract
 from jaxclear.multibody.state import unpack_motion
 from jaxclear.multibody.system import System, longest_arm, prepare
 from jaxclear.multibody.tree import Motion, Wrench
+from jaxclear.native.compiled import compiled_quickly
 from jaxclear.statics.quasi_static import Posed, acting, loop_rows, open_loops, reactions_of, unheld
 
 # Of the slope [1] of a gap at the middle, beside 1: rounding.
@@ -90,7 +91,7 @@ class Rounded(eqx.Module):
             joint: geometry of the clearance.
             depths: indentation of each possible contact [m].
         """
-        middles = _overlaps_at_middle(joint)
+        middles = _overlaps_of(joint, jnp.zeros(6))
         out: list[Any] = []
         for level, depth, middle in zip(self.level[name], depths, middles, strict=True):
             gap = sp.neg(depth)
@@ -100,14 +101,18 @@ class Rounded(eqx.Module):
 
 def rounded(mechanism: Any) -> Rounded:
     """Of a mechanism with numbers."""
-    radii = {}
+    levels = {}
     for name in mechanism.topology.clearances:
-        joint = mechanism.connections[name].joint
-        slopes = jax.jacfwd(lambda place, joint=joint: jnp.stack(_overlaps_of(joint, place)))
-        steep = np.abs(np.asarray(slopes(jnp.zeros(6)))).max(axis=1)
-        roomy = -np.asarray(jnp.stack(_overlaps_at_middle(joint))) > 0
-        radii[name] = tuple(bool(x) for x in (steep < LEVEL) & roomy)
-    return Rounded(radii)
+        steep, middle = _overlaps_at_middle(mechanism.connections[name].joint)
+        levels[name] = tuple(map(bool, (np.asarray(steep) < LEVEL) & (np.asarray(middle) < 0)))
+    return Rounded(levels)
+
+
+@compiled_quickly
+def _overlaps_at_middle(joint: AbstractClearance) -> tuple[Array, Array]:
+    """Of each overlap in the middle the largest slope [1], and itself [m]."""
+    overlaps, middle = lambda place: jnp.stack(_overlaps_of(joint, place)), jnp.zeros(6)
+    return jnp.abs(jax.jacfwd(overlaps)(middle)).max(axis=1), overlaps(middle)
 
 
 def _overlaps_of(joint: AbstractClearance, place: Array) -> list:
@@ -117,10 +122,6 @@ def _overlaps_of(joint: AbstractClearance, place: Array) -> list:
     axes = tuple(sp.plus(sp.cross(lean, sp.IDENTITY[k]), sp.IDENTITY[k]) for k in joint.axes)
     axes = tuple(tuple(jnp.asarray(x, float) for x in axis) for axis in axes)
     return [jnp.asarray(x, float) for x in joint.indentations(offset, axes, {})]
-
-
-def _overlaps_at_middle(joint: AbstractClearance) -> list:
-    return _overlaps_of(joint, jnp.zeros(6))
 
 
 class Case(NamedTuple):
@@ -145,24 +146,24 @@ def case_of(scene: Posed, side: Any, angles: dict[str, Any], how: Rounded) -> Ca
     return Case(prepare(scene.mechanism), side, angles, how)
 
 
-def _motions_at_rest(system: System, q: Array) -> tuple[tuple, tuple, tuple[Motion, ...]]:
-    """Coordinates and speeds by link, and the motion of every link at rest."""
+def _motions_at_rest(system: System, q: Array) -> tuple[tuple, tuple[Motion, ...]]:
+    """Coordinates by link, and the motion of every link at rest."""
     still = (0,) * system.topology.speed_count
     places, rates = unpack_motion(system, [*q, *still])
-    return places, rates, kinematics.link_motions(system, places, rates, 0.0)
+    return places, kinematics.link_motions(system, places, rates, 0.0)
 
 
 def work(case: Case, q: Array) -> Float[Array, " v"]:
     """Forces of loads and springs along the free speeds [N m, N]."""
-    places, rates, motions = _motions_at_rest(case.system, q)
-    system, forces = acting(case.system, motions, places, rates, case.side, case.angles)
+    motions = _motions_at_rest(case.system, q)[1]
+    system, forces = acting(case.system, motions, case.side, case.angles)
     return -sp.stack(unheld(system, forces))
 
 
 def restraints(case: Case, q: Array) -> tuple[Array, Array]:
     """What is left of the loops' closure [m, 1], and the gaps of all contacts [m]."""
     system = case.system
-    motions = _motions_at_rest(system, q)[2]
+    motions = _motions_at_rest(system, q)[1]
     rows = [rows_of.residuals for rows_of in loop_rows(system, motions)]
     gaps: list[Any] = []
     for name, bearing in system.bearings.items():
@@ -199,7 +200,7 @@ def measures_of(case: Case, q: Array) -> Measures:
     system = case.system
     arm = jax.lax.stop_gradient(longest_arm(system))
     speeds = speed_scales(system, arm)
-    motions = _motions_at_rest(system, q)[2]
+    motions = _motions_at_rest(system, q)[1]
     each = zip(system.closures, loop_rows(system, motions), strict=True)
     units = [x for closure, u in each for x in constraints.measures(closure, u, arm)]
     rooms = _gaps_in_middle(case)
@@ -228,7 +229,7 @@ def play(case: Case, measures: Measures) -> Any:
 
 def angles_near(case: Case, q: Array) -> dict[str, Any]:
     """Angles [rad] of joints outside the tree on which loads act, near those of the case."""
-    motions = _motions_at_rest(case.system, q)[2]
+    motions = _motions_at_rest(case.system, q)[1]
     return {
         name: closure_coordinates.read(case.system, name, motions, near).position
         for name, near in case.angles.items()
@@ -246,8 +247,8 @@ def rest_at(case: Case, q: Array, multipliers: Array, pushes: Array) -> Resting:
         multipliers: of the loops [N, N m].
         pushes: normal force [N] at each gap, joint after joint.
     """
-    places, rates, motions = _motions_at_rest(case.system, q)
-    system, forces = acting(case.system, motions, places, rates, case.side, case.angles)
+    places, motions = _motions_at_rest(case.system, q)
+    system, forces = acting(case.system, motions, case.side, case.angles)
     contacts, first = list[Row](), 0
     for name, bearing in system.bearings.items():
         pose = kinematics.relative_motion(bearing.closure, motions)[1]
@@ -267,7 +268,7 @@ def rest_at(case: Case, q: Array, multipliers: Array, pushes: Array) -> Resting:
 
 def journal_offsets(case: Case, q: Array) -> dict[str, Array]:
     """Where each journal lies: offset (x, y, z) [m] and slope (dx/dz, dy/dz) of its axis [1]."""
-    motions = _motions_at_rest(case.system, q)[2]
+    motions = _motions_at_rest(case.system, q)[1]
     out = {}
     for name, bearing in case.system.bearings.items():
         pose = kinematics.relative_motion(bearing.closure, motions)[1]
@@ -280,7 +281,7 @@ def journal_offsets(case: Case, q: Array) -> dict[str, Array]:
 def list_residuals(case: Case, q: Array) -> tuple[dict[str, Any], dict[str, Any]]:
     """By how much each loop is open [m, 1], by the joint that closes it, and how deep each journal
     lies in its bearing [m]."""
-    motions = _motions_at_rest(case.system, q)[2]
+    motions = _motions_at_rest(case.system, q)[1]
     deep = {}
     for name, bearing in case.system.bearings.items():
         pose = kinematics.relative_motion(bearing.closure, motions)[1]

@@ -21,7 +21,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxclear.ground.numerics import safe_divide
-from jaxclear.ground.quantity import is_traced, is_tracing
+from jaxclear.ground.quantity import is_traced, is_tracing, on_host
 from jaxclear.multibody.assembly import nearest, ready
 from jaxclear.multibody.closure_coordinates import angles_at_start
 from jaxclear.multibody.start_equations import motions_at, retract, start_problem
@@ -106,12 +106,12 @@ class ByEnergy(eqx.Module):
             one = lambda p, start: find_rest(scene.at(p), start, self, near=True)
             return _split_before(jax.vmap(one)(position, starts), starts)
         # One after the other, by the program that has led from one to the next.
-        count = range(len(position))
+        known = on_host(starts)
         rest = [
-            self.alone(scene.at(position[i]), jax.tree.map(lambda x, i=i: x[i], starts))
-            for i in count
+            self.alone(scene.at(now), jax.tree.map(lambda x, i=i: jnp.asarray(x[i]), known))
+            for i, now in enumerate(np.asarray(position))
         ]
-        return _split_before(jax.tree.map(lambda *p: jnp.stack(p), *rest), starts)
+        return _split_before(stacked(rest), starts)
 
     def read(self, scene: Posed, position: Array, spots: Rest) -> Read:
         """Coordinates, seats and soundness of solutions at several positions.
@@ -121,10 +121,7 @@ class ByEnergy(eqx.Module):
             position: of the drives, shape (positions, drives).
             spots: solutions (`each`).
         """
-        offsets = lambda place, spot: equilibrium.journal_offsets(
-            _make_case(scene.at(place), spot, self), spot.q
-        )
-        seats = jax.vmap(offsets)(position, spots)
+        seats = _offsets(scene, jnp.asarray(position), spots, self)
         unknowns = (spots.closing, spots.pushes, spots.angles, spots.loose, spots.split)
         carried = Carried(*unknowns, self.rounded, self.side)
         moving = {name: tuple(range(SEAT)) for name in seats}
@@ -205,27 +202,25 @@ def initial_rest(scene: Posed) -> tuple[Rest, ByEnergy]:
         # is refused, by name, where nothing is found from there.
         start = nearest(scene.mechanism, False).start
     method = ByEnergy(equilibrium.rounded(scene.mechanism), jnp.ones(()))
-    problem = start_problem(scene.mechanism, False)
-    system, still = problem.system, jnp.zeros(problem.system.topology.speed_count)
-    motions = motions_at(problem, start.coordinates, still, 0.0)[2]
-    names = tuple(name for name, joint in system.measured.items() if joint.followed)
-    angles = angles_at_start(scene.mechanism, system, names, motions)
-    case = equilibrium.case_of(scene, method.side, angles, method.rounded)
-    # Not by `jax.eval_shape`, which hides what is zero whatever moves.
-    loops, gaps = equilibrium.restraints(case, start.coordinates)
+    angles, loops, gaps = _at_start(scene, start.coordinates, method)
     nothing = jnp.zeros(())
     rest = Rest(
         start.coordinates,
         jnp.zeros(len(loops)),
         jnp.zeros(len(gaps)),
         jnp.zeros(len(gaps), bool),
-        {name: jnp.asarray(x, float) for name, x in angles.items()},
+        angles,
         nothing,
         nothing,
-        still,
+        jnp.zeros(scene.mechanism.topology.speed_count),
         jnp.zeros((), bool),
     )
     return rest, method
+
+
+def stacked(trees: list) -> Any:
+    """Trees of numbers as one, with a first axis of them."""
+    return jax.tree.map(lambda *parts: jnp.asarray(np.stack(parts)), *trees)
 
 
 def _split_before(rest: Rest, starts: Rest) -> Rest:
@@ -234,6 +229,27 @@ def _split_before(rest: Rest, starts: Rest) -> Rest:
 
 
 _settled = compiled_quickly(find_rest)
+
+
+@compiled_quickly
+def _at_start(scene: Posed, q: Array, method: ByEnergy) -> tuple[dict[str, Array], Array, Array]:
+    """Angles near which coordinates outside the tree are read, and what `restraints` says."""
+    problem = start_problem(scene.mechanism, False)
+    system, still = problem.system, jnp.zeros(problem.system.topology.speed_count)
+    motions = motions_at(problem, q, still, 0.0)[2]
+    names = tuple(name for name, joint in system.measured.items() if joint.followed)
+    angles = angles_at_start(scene.mechanism, system, names, motions)
+    case = equilibrium.case_of(scene, method.side, angles, method.rounded)
+    known = {name: jnp.asarray(x, float) for name, x in angles.items()}
+    return known, *equilibrium.restraints(case, q)
+
+
+@compiled_quickly
+def _offsets(scene: Posed, position: Array, spots: Rest, method: ByEnergy) -> dict[str, Array]:
+    one = lambda place, spot: equilibrium.journal_offsets(
+        _make_case(scene.at(place), spot, method), spot.q
+    )
+    return jax.vmap(one)(position, spots)
 
 
 def _make_case(scene: Posed, start: Rest, method: ByEnergy) -> Case:

@@ -280,7 +280,7 @@ def spots_along(scene: Posed, position: np.ndarray, method: Any, start: Any = No
             _refuse_position(scene, method, spot, i, now)
         spots.append(spot)
         before = now
-    return jax.tree.map(lambda *parts: jnp.stack(parts), *spots)
+    return least_energy.stacked(spots)
 
 
 def _first_spot(scene: Posed, method: ByLoops) -> tuple[Spot, Any]:

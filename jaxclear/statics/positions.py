@@ -18,12 +18,17 @@ from jaxclear.components.body import Marker
 from jaxclear.ground import sparse as sp
 from jaxclear.ground.arguments import check_name
 from jaxclear.ground.datasets import Column, dataset, write_csv
-from jaxclear.ground.pose import quaternion_from_rotation
 from jaxclear.ground.printing import AbstractShown
 from jaxclear.ground.wording import listed
 from jaxclear.multibody.kinematics import relative_motion
 from jaxclear.multibody.start_constraints import source
-from jaxclear.results.histories import AbstractHistory, MarkerHistory, marker, measured_field
+from jaxclear.results.histories import (
+    AbstractHistory,
+    MarkerHistory,
+    marker,
+    measured_field,
+    quaternions,
+)
 from jaxclear.results.state_history import check_single, single, take_one
 from jaxclear.statics.equilibrium import Carried, Resting, case_of, rest_at
 from jaxclear.statics.quasi_static import Posed, stand_at
@@ -287,7 +292,7 @@ class Positions(AbstractShown):
         for name in scene.mechanism.bodies:
             pose = self.body(name)
             columns[f"{name}.com"] = Column(axis, pose.com, "m", f"centre of mass of {name}")
-            turn = np.asarray(quaternion_from_rotation(pose.rotation))
+            turn = np.asarray(quaternions(pose.rotation))
             meaning = f"orientation of {name}, scalar first"
             columns[f"{name}.quaternion"] = Column(("position", "component"), turn, "1", meaning)
         for name in self.seats:

@@ -293,7 +293,7 @@ def stand_at(scene: Posed, q: Any, seats: dict[str, tuple], side: float = 1.0) -
     if len(every) < count or (scene.rows is None and len(every) > count):
         raise Undetermined(f"the loops have {len(every)} rows for {count} free coordinates.")
     residual, jacobian = scene.determining(_list_residuals(rows)), scene.determining(every)
-    loaded, forces = acting(system, motions, places, rates, side)
+    loaded, forces = acting(system, motions, side)
     transposed = [[row.get(j, 0) for row in jacobian] for j in range(count)]
     multipliers = scene.among(len(every), solved(transposed, unheld(loaded, forces)))
     reactions = reactions_of(loaded, forces, multipliers, places)
@@ -349,8 +349,6 @@ def _list_residuals(rows: list[constraints.ConstraintRows]) -> list:
 def acting(
     system: System,
     motions: tuple[Motion, ...],
-    places: tuple,
-    rates: tuple,
     side: Any,
     angles: dict[str, Any] | None = None,
 ) -> tuple[System, Forces]:
@@ -359,11 +357,10 @@ def acting(
     Args:
         system: prepared mechanism, as `prepare` returns it.
         motions: of all links, at rest.
-        places, rates: coordinates and speeds (zero), a tuple for each link.
         side: 1, or -1 to reverse loads; springs, stops and flexible couplings stay.
         angles: [rad] near which coordinates outside the tree are read, by joint.
     """
-    ask = lambda part: applied_forces(part, motions, {}, places, rates, 0.0, Followed(angles or {}))
+    ask = lambda part: applied_forces(part, motions, {}, 0.0, Followed(angles or {}))
     if isinstance(side, float) and side == 1.0:
         return system, ask(system)
     springs = {name: load for name, load in system.loads.items() if load.springs_back()}

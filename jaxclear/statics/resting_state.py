@@ -210,23 +210,25 @@ def _stretch_of_seat(system: System, name: str, seat: tuple, load: float, worn: 
     """By how much a seat is to be stretched so that the contacts carry the `load` [N]."""
     if load == 0.0:
         return 1.0
-    bearing = system.bearings[name]
-    force = eqx.filter_jit(lambda share: _force_of_seat(bearing, seat, share, worn))
+    bearing, place = system.bearings[name], tuple(map(jnp.asarray, seat))
+    # As an array: of each number of Python's there would be a program.
+    force = lambda share: float(_force_of_seat(bearing, place, jnp.asarray(share), worn))
     low, high = 0.0, 1.0
-    while float(force(high)) < load:
+    while force(high) < load:
         low, high = high, 2.0 * high
         if not math.isfinite(high):
             return 1.0
     for _ in range(HALVINGS):
         middle = 0.5 * (low + high)
-        low, high = (middle, high) if float(force(middle)) < load else (low, middle)
+        low, high = (middle, high) if force(middle) < load else (low, middle)
     return high
 
 
+@compiled_quickly
 def _force_of_seat(bearing: Any, seat: tuple, share: Any, worn: dict) -> Any:
     """Sum of the elastic forces [N] of the contacts of a journal in a stretched seat."""
     joint: AbstractClearance = bearing.joint
-    offset, slope = (share * jnp.asarray(x) for x in seat)
+    offset, slope = (share * x for x in seat)
     axis = (slope[0], slope[1], 1.0)
     across = {0: (1.0, 0.0, -slope[0]), 1: (0.0, 1.0, -slope[1])}
     axes = across | {2: tuple(x / sp.norm(axis) for x in axis)}

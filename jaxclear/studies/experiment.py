@@ -301,6 +301,19 @@ class AbstractExperiment(AbstractQuantified):
         """
         return None
 
+    def on_wider_cells(self) -> "AbstractExperiment | None":
+        """The same on cells of worn surfaces twice as wide; None where no response reads them."""
+        return None
+
+    def errors_of_cells(self, result: SampleResult, wider: SampleResult) -> dict[str, Array]:
+        """By response that reads cells how much it is too large by them, (samples,), in its unit.
+
+        Args:
+            result: result of samples.
+            wider: result of the same on wider cells.
+        """
+        return {}
+
     def detail(self, setting: Setting, index: int, chunk: int) -> Any:
         """All there is to be seen of one sample of a study.
 

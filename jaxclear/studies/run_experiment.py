@@ -4,6 +4,7 @@ The whole path from varied numbers to responses is one pure function, `evaluate`
 samples and differentiates.
 """
 
+import dataclasses
 import functools
 import math
 from collections.abc import Callable
@@ -12,16 +13,18 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
+from jaxclear.errors.estimates import factor_by_order
 from jaxclear.errors.observables import GAPS
 from jaxclear.errors.verification import refine_times, replica
 from jaxclear.ground.compiling import by_form
 from jaxclear.ground.printing import part_in_words
-from jaxclear.ground.quantity import on_device, on_host, with_fields
+from jaxclear.ground.quantity import is_traced, on_device, on_host, with_fields
 from jaxclear.integrators import AbstractIntegrator, FixedStep, MoreauJean, Outcome
 from jaxclear.integrators.base import PART_OF, STUDIES, Promise
-from jaxclear.integrators.checks import Checks
+from jaxclear.integrators.checks import Check, Checks
 from jaxclear.multibody.assembly import (
     Sampled,
     Start,
@@ -54,7 +57,14 @@ from jaxclear.simulation.derivatives import (
     until_the_end,
 )
 from jaxclear.simulation.initial_state import Past, past_of, state_of
-from jaxclear.simulation.load_steps import LoadSteps, checked_by, load_steps
+from jaxclear.simulation.load_steps import (
+    LoadSteps,
+    checked_by,
+    felt_along,
+    load_steps,
+    own_loads,
+    run_felt,
+)
 from jaxclear.simulation.loop import Extras, sketched
 from jaxclear.simulation.saving import Saving, as_saving, check_steps, checked_saving
 from jaxclear.simulation.simulate import (
@@ -66,6 +76,7 @@ from jaxclear.simulation.simulate import (
     saving_times,
 )
 from jaxclear.simulation.singular_positions import diagnosed, diagnosed_outcome
+from jaxclear.simulation.wear import with_coarser_cells
 from jaxclear.studies.chosen_integrator import (
     allowed,
     chosen_integrator,
@@ -96,11 +107,6 @@ NEAR_A_CORE = 1 << 26
 LARGEST_ELSEWHERE = 4096
 # Threads of kernels that fill a large GPU some times.
 LARGEST_BY_KERNELS = 1 << 17
-# What no replica of a study refines.
-WITHOUT_CELLS = (
-    "What the size of cells leaves in worn depths is not included; jaxclear.simulate of one sample "
-    "with verify=True tells it."
-)
 
 
 class RunExperiment(AbstractExperiment):
@@ -130,6 +136,9 @@ class RunExperiment(AbstractExperiment):
     mode: Nominal | None = derived()
     # Touches and releases of each contact that are kept between two saving times.
     events: int = derived(static=True)
+    # Whether each sample is looked at for what loads of the user's own do within less than a step,
+    # as the nominal one does some.
+    looks_along: bool = derived(static=True)
 
     def __init__(
         self,
@@ -173,6 +182,14 @@ class RunExperiment(AbstractExperiment):
         else:
             sampled_mode = Sampled((), motion.redundancy, None)
         self.determined, self.redundancy, self.mode = sampled_mode
+        self.looks_along = False
+        if own_loads(mechanism):
+            run = _run_nominal(self)
+            steps = felt_along(run, self.integrator)
+            shares = checked_by(steps.passed, Checks())
+            self.looks_along = is_traced(run) or bool(
+                steps.integrator is not self.integrator or shares.warnings
+            )
 
     def _check_answers(
         self, integrator: AbstractIntegrator | None, times: Array, events: int
@@ -227,9 +244,13 @@ class RunExperiment(AbstractExperiment):
         else:
             start = carried_on(mechanism, *motion.moving)
         extras = Extras(events=self.events, discrete=discrete)
-        arguments = mechanism, *start[:2], self._times(), self.integrator, extras, self.past
-        trajectory = until_the_end(run(*arguments, self.updates))
-        return mechanism, start, trajectory
+        arguments = mechanism, *start[:2], self._times()
+        make_run = lambda steps: run(*arguments, steps, extras, self.past, self.updates)
+        if self.looks_along:
+            trajectory, _ = run_felt(make_run, self.integrator, {})
+        else:
+            trajectory = make_run(self.integrator)
+        return mechanism, start, until_the_end(trajectory)
 
     def _times(self) -> Array:
         """Saving times [s]."""
@@ -301,7 +322,7 @@ class RunExperiment(AbstractExperiment):
             early,
             True,
             checked_by(self._load_steps().passed, Checks()).warnings,
-            " ".join(filter(None, [self.why_integrator, self._what_cells_leave()])),
+            self.why_integrator,
             self._limits_of_derivatives(),
         )
 
@@ -314,14 +335,44 @@ class RunExperiment(AbstractExperiment):
         else:
             promises = STUDIES if self.unasked else self.integrator.promise
             promise = _promise_of(self.mechanism, promises, response, unit)
-        return ResponseInfo(unit, concerns, promise, self.integrator.remedy)
+        by_cells = self._surfaces and needs_of(response) == "worn depth"
+        remedy = f"{'more cells, or ' if by_cells else ''}{self.integrator.remedy}"
+        return ResponseInfo(unit, concerns, promise, remedy)
 
-    def _what_cells_leave(self) -> str:
-        """A sentence where depths are read from cells; replicas refine steps alone."""
-        surfaces = [m for j in wearing_in(self.mechanism).values() for m, _ in j.maps().values()]
-        in_cells = any(math.prod(surface.cells) > 1 for surface in surfaces)
-        reads_depths = any(needs_of(f) == "worn depth" for f in self.response.values())
-        return WITHOUT_CELLS if in_cells and reads_depths else ""
+    def on_wider_cells(self):
+        if not self._reading_cells:
+            return None
+        return with_fields(self, mechanism=with_coarser_cells(self.mechanism, 2.0))
+
+    def errors_of_cells(self, result, wider):
+        narrow = np.max(result.checks.figures[Check.WEAR_BY_CELLS].worst, axis=-1)
+        factor = factor_by_order(any(surface.flat for surface in self._surfaces), narrow)
+        fine, coarse = result.reached_responses(), wider.reached_responses()
+        return {name: factor * (coarse[name] - fine[name]) for name in self._reading_cells}
+
+    @property
+    def _surfaces(self) -> list:
+        """Worn surfaces with cells that a loss is shared among."""
+        maps = [m for j in wearing_in(self.mechanism).values() for m, _ in j.maps().values()]
+        return [surface for surface in maps if math.prod(surface.cells) > 1]
+
+    @property
+    def _reading_cells(self) -> list[str]:
+        """Names of the responses that read depths of such cells."""
+        if not self._surfaces:
+            return []
+        return [name for name, f in self.response.items() if self._reads_depths(f)]
+
+    def _reads_depths(self, response: Callable) -> bool:
+        if needs_of(response) != "anything":
+            return needs_of(response) == "worn depth"
+        formulation = self.integrator.formulation
+        model = formulation.modelled(self.mechanism)
+        run = lambda: sketched(model, formulation, self._times(), self.events)
+        read = lambda worn: response(dataclasses.replace(run(), worn=worn))
+        program = jax.make_jaxpr(read)(jax.eval_shape(lambda: run().worn)).jaxpr
+        used = {id(x) for eqn in program.eqns for x in eqn.invars} | set(map(id, program.outvars))
+        return not used.isdisjoint(map(id, program.invars))
 
     def _limits_of_derivatives(self) -> tuple[str, str]:
         modelled = self.integrator.formulation.modelled(self.mechanism)
@@ -367,6 +418,12 @@ def _lengths(mechanism: Mechanism) -> tuple[Array, Array, Array]:
     system = prepare(mechanism)
     widest = jnp.max(rooms(system), initial=0.0) if system.bearings else jnp.zeros(())
     return narrowest_gap(system), longest_arm(system), widest
+
+
+@compiled_for_kernels
+def _run_nominal(experiment: RunExperiment) -> Trajectory:
+    """The run of the mechanism as it is."""
+    return experiment.started(Setting((), (), jnp.zeros(0)))[2]
 
 
 def _answers(experiment: RunExperiment, setting: Setting, discrete: bool) -> SampleResult:

@@ -4,12 +4,14 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
+from tests.rigs.cells import slow
 
 MU, LOAD, RADIUS, LENGTH, INERTIA = 0.1, 200.0, 8e-3, 20e-3, 1e-3
 GRIP = MU / np.sqrt(1 + MU**2)
 LAW = jc.wear.Archard()
 RATE = float(LAW.wear_coefficient / LAW.hardness)
 NON_COLLIDING = jc.integrator.NonColliding(1e-3)
+RIGID = jc.integrator.MoreauJean(1e-3)
 ADAPTIVE = jc.integrator.Adaptive(rtol=1e-9, atol=1e-11)
 # At 1000 transition speeds tanh is 1 to rounding.
 FAST = jc.friction.CoulombTanh(mu_kinetic=MU, transition_speed=1e-5)
@@ -32,16 +34,18 @@ def rotor(friction, speed=SPEED, **numbers):
     )
 
 
-def test_a_plain_bearing_brakes_with_the_friction_circle_and_wears_by_archard():
-    """Deceleration sin(arctan mu) F r / I until it rests, and not beyond; V = k N s / H."""
-    wear = jc.Wearing(LAW, acceleration=1e4)
-    run = jc.simulate(
-        rotor(STICKS, length=LENGTH, wear=wear),
-        0.1,
-        integrator=NON_COLLIDING,
-        save=11,
-        balance=True,
-    )
+@pytest.mark.parametrize(
+    ("integrator", "law"),
+    [
+        (NON_COLLIDING, STICKS),
+        *slow((RIGID, STICKS), (RIGID, jc.friction.ThreeZone(mu_static=MU, mu_kinetic=MU))),
+    ],
+)
+def test_a_plain_bearing_brakes_with_the_friction_circle_and_wears_by_archard(integrator, law):
+    """Deceleration sin(arctan mu) F r / I until it rests, and not beyond; V = k N s / H. Of a law
+    that is a function of the speed rigid steps take the coefficients."""
+    rig = rotor(law, length=LENGTH, wear=jc.Wearing(LAW, acceleration=1e4))
+    run = jc.simulate(rig, 0.1, integrator=integrator, save=11, balance=True)
     left = np.maximum(SPEED - BRAKING * np.asarray(run.time), 0.0)
     np.testing.assert_allclose(run.speed("B"), left, atol=1e-9)
     energies = run.energy_balance()
@@ -55,6 +59,9 @@ def test_a_plain_bearing_brakes_with_the_friction_circle_and_wears_by_archard():
     contact = run.contact("B")
     np.testing.assert_allclose(contact.traction[2].sum(), GRIP * LOAD, rtol=1e-9)
     np.testing.assert_allclose(contact.slip_speed[2], RADIUS * left[2], rtol=1e-9)
+    np.testing.assert_allclose(run.reaction("B").force[3, :2], [0.0, LOAD], atol=1e-9)
+    pressed = 0.05 * LOAD * (1 + 1 / np.sqrt(1 + MU**2))
+    np.testing.assert_allclose(run.contact_impulse("B")[-1], pressed, rtol=1e-9)
 
 
 def test_a_bearing_turned_under_a_constant_load_wears_archards_volume():
@@ -82,6 +89,7 @@ def oscillator(**numbers):
     ("law", "integrator"),
     [
         pytest.param(STICKS, jc.integrator.NonColliding(1e-4), id="NonColliding"),
+        pytest.param(STICKS, jc.integrator.MoreauJean(1e-4), id="MoreauJean"),
         pytest.param(FAST, ADAPTIVE, id="Adaptive"),
     ],
 )
@@ -95,22 +103,23 @@ def test_constant_friction_takes_the_same_from_every_half_swing(law, integrator)
     np.testing.assert_allclose(np.abs(run.coordinate("B")), 0.05 - lost, atol=2e-6)
 
 
-def crank(kind, at_slider=None, guess=None, **numbers):
-    """A crank, a rod and a slider that a spring holds back; friction in every joint, but another
-    one `at_slider` if that is given."""
+def crank(kind, at_slider=None, guess=None, drive=None, slide=None, **numbers):
+    """A crank, a rod and a slider; friction in every joint, but another one `at_slider` if that is
+    given. A spring holds the crank back, which turns freely or by its drive."""
     pin = kind(**numbers)
+    first = pin if drive is None else kind(**numbers, drive=drive)
     bar = lambda length: jc.Body(0.5, 0.5 * length**2 / 12, com=(0.5 * length, 0.0))
     return jc.Mechanism(
         {"crank": bar(0.1), "rod": bar(0.3), "slider": jc.Body(1.0, 1e-3)},
         {
-            "A": jc.Connection(pin, "ground", "crank"),
+            "A": jc.Connection(first, "ground", "crank"),
             "B": jc.Connection(pin, "crank", "rod", at=(0.1, 0.0)),
             "C": jc.Connection(at_slider or pin, jc.Marker("rod", (0.3, 0.0)), "slider"),
-            "D": jc.Connection(jc.joint.Prismatic(), "ground", "slider", axis="x"),
+            "D": jc.Connection(slide or jc.joint.Prismatic(), "ground", "slider", axis="x"),
         },
-        {"g": jc.load.Gravity(), "spring": jc.load.JointSpring("A", 5.0)},
-        start={"A": 1.0},
-        speeds={"A": 30.0},
+        {"g": jc.load.Gravity()} | ({} if drive else {"spring": jc.load.JointSpring("A", 5.0)}),
+        start={} if drive else {"A": 1.0},
+        speeds={} if drive else {"A": 30.0},
         guess=guess,
     )
 
@@ -179,22 +188,19 @@ def test_friction_in_a_loop_closes_the_energy_balance_and_does_not_depend_on_the
 
 
 @pytest.mark.slow
-def test_a_drive_gives_what_friction_in_its_own_joint_takes():
-    joint = jc.joint.PlainBearing(
-        FAST, radius=RADIUS, drive=jc.drive.ConstantSpeed(12.0), wear=jc.Wearing(LAW), length=LENGTH
-    )
-    mechanism = jc.Mechanism(
-        {"rotor": jc.Body(1.0, INERTIA)},
-        {"B": jc.Connection(joint, "ground", "rotor")},
-        {"load": jc.load.Force(jc.Marker("rotor"), (0.0, -LOAD))},
-    )
-    run = jc.simulate(mechanism, 0.5, save=3, balance=True, integrator=ADAPTIVE)
-    energies = run.energy_balance()
-    loss = GRIP * LOAD * RADIUS * 12.0 * 0.5
-    np.testing.assert_allclose(energies.friction_loss[-1], loss, rtol=1e-9)
-    np.testing.assert_allclose(energies.input[-1], loss, rtol=1e-9)
-    volume = RATE * LOAD / np.sqrt(1 + MU**2) * RADIUS * 6.0
-    np.testing.assert_allclose(run.worn_volume("B", "bearing")[-1], volume, rtol=1e-9)
+@pytest.mark.parametrize(
+    ("integrator", "within"), [(ADAPTIVE, 1e-9), (jc.integrator.ImplicitStep(1e-3), 1e-6)]
+)
+def test_a_drive_gives_what_friction_in_its_own_joint_takes(integrator, within):
+    drive = jc.drive.ConstantSpeed(SPEED)
+    rig = rotor(FAST, None, drive=drive, wear=jc.Wearing(LAW), length=LENGTH)
+    run = jc.simulate(rig, 0.5, save=3, balance=True, integrator=integrator)
+    energies, loss = run.energy_balance(), GRIP * LOAD * RADIUS * SPEED * 0.5
+    np.testing.assert_allclose(energies.friction_loss[-1], loss, rtol=within)
+    np.testing.assert_allclose(energies.input[-1], loss, rtol=within)
+    assert float(np.abs(energies.error).max()) < 1e-9 * loss
+    volume = RATE * LOAD / np.sqrt(1 + MU**2) * RADIUS * SPEED * 0.5
+    np.testing.assert_allclose(run.worn_volume("B", "bearing")[-1], volume, rtol=within)
 
 
 def slider(friction, arm, **numbers):
@@ -207,11 +213,11 @@ def slider(friction, arm, **numbers):
     )
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("arm", [0.5, 1.1])
-def test_a_carriage_pulled_beside_its_guide_jams_beyond_half_its_length_over_mu(arm):
+@pytest.mark.parametrize("integrator", [RIGID, *slow(NON_COLLIDING)])
+def test_a_carriage_pulled_beside_its_guide_jams_beyond_half_its_length_over_mu(integrator, arm):
     """Two ends carry F a / l each: friction 2 mu F a / l, and no motion from a = l / (2 mu) on."""
-    run = jc.simulate(slider(STICKS, arm), 0.1, integrator=NON_COLLIDING, save=3)
+    run = jc.simulate(slider(STICKS, arm), 0.1, integrator=integrator, save=3)
     speed = max(0.0, 50.0 * (1 - 2 * MU * arm / 0.2)) / 2.0 * 0.1
     np.testing.assert_allclose(run.speed("S")[-1], speed, atol=1e-9)
 
@@ -241,7 +247,7 @@ def test_a_study_of_a_joint_that_rubs_controls_its_error():
 
 @pytest.mark.parametrize(
     "integrator",
-    [pytest.param(jc.integrator.FixedStep(1e-3), marks=pytest.mark.slow), NON_COLLIDING],
+    [*slow(jc.integrator.FixedStep(1e-3)), NON_COLLIDING],
 )
 def test_friction_is_in_the_reaction_of_the_joint_that_closes_the_loop_too(integrator):
     """A parallelogram whose pins, clamped, rub by mu F r."""

@@ -8,7 +8,6 @@ import pytest
 import jaxclear as jc
 from tests.formulations.test_joint_friction import (
     BRAKING,
-    INERTIA,
     LAW,
     LENGTH,
     LOAD,
@@ -42,40 +41,11 @@ def test_a_bearing_is_braked_and_held_in_steps_far_longer_than_friction_takes():
     np.testing.assert_allclose(run.contact_impulse("B")[-1], 0.1 * LOAD, rtol=0.01)
 
 
-def driven():
-    """A rotor that a drive keeps turning against the friction of its bearing."""
-    drive = jc.drive.ConstantSpeed(SPEED)
-    return rotor(STEEP, None, length=LENGTH, drive=drive)
-
-
-@pytest.mark.slow
-def test_a_drive_gives_what_the_bearing_that_it_turns_takes():
-    run = jc.simulate(
-        driven(), 0.1, integrator=jc.integrator.ImplicitStep(1e-3), save=3, balance=True
-    )
-    given = run.energy_balance()
-    work = BRAKING * INERTIA * SPEED * 0.1
-    np.testing.assert_allclose([given.input[-1], given.friction_loss[-1]], work, rtol=1e-6)
-    assert float(np.abs(given.error).max()) < 1e-9 * work
-
-
 def driven_crank(friction=SMOOTH):
-    """As `crank`, without its spring, turned by a drive; the slider rubs as well."""
-    pin = lambda **more: jc.joint.PlainBearing(friction, radius=RADIUS, **more)
-    bar = lambda length: jc.Body(0.5, 0.5 * length**2 / 12, com=(0.5 * length, 0.0))
-    return jc.Mechanism(
-        {"crank": bar(0.1), "rod": bar(0.3), "slider": jc.Body(1.0, 1e-3)},
-        {
-            "A": jc.Connection(pin(drive=jc.drive.ConstantSpeed(50.0)), "ground", "crank"),
-            "B": jc.Connection(pin(), "crank", "rod", at=(0.1, 0.0)),
-            "C": jc.Connection(pin(), jc.Marker("rod", (0.3, 0.0)), "slider"),
-            "D": jc.Connection(
-                jc.joint.Slideway(friction, length=0.05, width=0.03), "ground", "slider", axis="x"
-            ),
-        },
-        {"g": jc.load.Gravity()},
-        guess={"D": 0.4},
-    )
+    """Turned by a drive; the slider rubs as well."""
+    slide = jc.joint.Slideway(friction, length=0.05, width=0.03)
+    more = {"friction": friction, "radius": RADIUS, "slide": slide, "guess": {"D": 0.4}}
+    return crank(jc.joint.PlainBearing, drive=jc.drive.ConstantSpeed(50.0), **more)
 
 
 @pytest.mark.slow

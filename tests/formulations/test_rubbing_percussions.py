@@ -9,48 +9,20 @@ import pytest
 import jaxclear as jc
 from jaxclear.native.verdicts import KERNELS
 from tests.formulations.test_joint_friction import (
-    BRAKING,
-    GRIP,
-    INERTIA,
     LAW,
     LENGTH,
-    LOAD,
     MU,
     RADIUS,
     RATE,
-    SPEED,
     STICKS,
     crank,
-    oscillator,
-    rotor,
-    slider,
 )
 from tests.formulations.test_rubbing_over_step import STIFF, driven_crank, pendulum, with_play
+from tests.rigs.slider_cranks import slider_crank
 
 STEPS = jc.integrator.MoreauJean(1e-3)
 CLEARANCE, FALL, RESTITUTION = 1e-4, 1.0, 0.5
 BLOCK, JOURNAL = 2.0, 0.5
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("law", [STICKS, jc.friction.ThreeZone(mu_static=MU, mu_kinetic=MU)])
-def test_a_bearing_is_braked_evenly_rests_and_wears_by_archard(law):
-    """Deceleration sin(arctan mu) F r / I until it rests, and not beyond; V = k N s / H. Of a law
-    that is a function of the speed its coefficients are taken."""
-    mechanism = rotor(law, length=LENGTH, wear=jc.Wearing(LAW))
-    run = jc.simulate(mechanism, 0.1, integrator=STEPS, save=11, balance=True)
-    left = np.maximum(SPEED - BRAKING * np.asarray(run.time), 0.0)
-    np.testing.assert_allclose(run.speed("B"), left, atol=1e-9)
-    energies = run.energy_balance()
-    np.testing.assert_allclose(energies.friction_loss[-1], 0.5 * INERTIA * SPEED**2, rtol=1e-12)
-    assert float(np.abs(energies.error).max()) < 1e-12
-    volume = RATE * LOAD / np.sqrt(1 + MU**2) * RADIUS * 0.5 * SPEED * 0.05
-    np.testing.assert_allclose(run.worn_volume("B", "bearing")[-1], volume, rtol=1e-9)
-    contact = run.contact("B")
-    np.testing.assert_allclose(contact.traction[2].sum(), GRIP * LOAD, rtol=1e-9)
-    np.testing.assert_allclose(run.reaction("B").force[3, :2], [0.0, LOAD], atol=1e-9)
-    pressed = 0.05 * LOAD * (1 + 1 / np.sqrt(1 + MU**2))
-    np.testing.assert_allclose(run.contact_impulse("B")[-1], pressed, rtol=1e-9)
 
 
 def struck(speed, friction=STICKS, clearance=CLEARANCE):
@@ -75,7 +47,8 @@ def struck(speed, friction=STICKS, clearance=CLEARANCE):
 def test_an_impact_rubs_in_the_slideway_that_takes_its_impulse(speed):
     """P = m u (1 + e) across the slideway takes mu P from the block's momentum, and no more than
     it has."""
-    run = jc.simulate(struck(speed), 2e-4, integrator=jc.integrator.MoreauJean(1e-5), save=3)
+    steps = jc.integrator.MoreauJean(1e-5)
+    run = jc.simulate(struck(speed), 2e-4, integrator=steps, save=3, balance=True)
     percussion = JOURNAL * FALL * (1 + RESTITUTION)
     after = max(speed - MU * percussion / BLOCK, 0.0)
     np.testing.assert_allclose(run.speed("S")[-1], after, atol=1e-12)
@@ -83,35 +56,10 @@ def test_an_impact_rubs_in_the_slideway_that_takes_its_impulse(speed):
         np.testing.assert_allclose(run.contact_impulse(joint)[-1], percussion, rtol=1e-9)
     # over the step in which it strikes the block slides at the mean of its speeds
     volume = RATE * percussion * 0.5 * (speed + after)
-    np.testing.assert_allclose(run.worn_volume("S", "guide")[-1], volume, rtol=1e-9)
-
-
-@pytest.mark.slow
-def test_an_impact_that_rubs_closes_the_energy_balance():
-    run = jc.simulate(
-        struck(0.3), 2e-4, integrator=jc.integrator.MoreauJean(1e-5), save=3, balance=True
-    )
-    energies, percussion = run.energy_balance(), JOURNAL * FALL * (1 + RESTITUTION)
-    lost = MU * percussion * (0.3 - 0.5 * MU * percussion / BLOCK)
+    energies, lost = run.energy_balance(), 0.5 * BLOCK * (speed**2 - after**2)
     np.testing.assert_allclose(energies.friction_loss[-1], lost, rtol=1e-9)
     assert float(np.abs(energies.error).max()) < 1e-12
-
-
-@pytest.mark.slow
-def test_constant_friction_takes_the_same_from_every_half_swing():
-    """x_n = x_0 - 2 n M / k, until the spring cannot overcome friction."""
-    half = np.pi * np.sqrt(INERTIA / 40.0)
-    mechanism = oscillator(friction=STICKS)
-    run = jc.simulate(mechanism, 5 * half, integrator=jc.integrator.MoreauJean(1e-4), save=6)
-    lost = 2 * MU * LOAD * RADIUS / 40.0 * np.arange(6)
-    np.testing.assert_allclose(np.abs(run.coordinate("B")), 0.05 - lost, atol=2e-6)
-
-
-@pytest.mark.parametrize("arm", [0.5, 1.1])
-def test_a_carriage_pulled_beside_its_guide_jams_beyond_half_its_length_over_mu(arm):
-    run = jc.simulate(slider(STICKS, arm), 0.1, integrator=STEPS, save=3)
-    speed = max(0.0, 50.0 * (1 - 2 * MU * arm / 0.2)) / 2.0 * 0.1
-    np.testing.assert_allclose(run.speed("S")[-1], speed, atol=1e-9)
+    np.testing.assert_allclose(run.worn_volume("S", "guide")[-1], volume, rtol=1e-9)
 
 
 RIGS = {
@@ -227,27 +175,13 @@ def test_derivatives_of_an_impact_that_rubs_are_those_of_its_closed_form():
 def test_joints_of_a_loop_that_stick_leave_sweeps_for_the_loads_that_they_carry():
     """As a crank is driven back all three stick in one step; more sweeps change nothing."""
     dry = jc.friction.Coulomb(mu_kinetic=0.2)
-    rig = jc.Mechanism(
-        {
-            "crank": jc.Body(1.0, 0.01, com=(0.1, 0.0)),
-            "rod": jc.Body(0.5, 0.005, com=(0.25, 0.0)),
-            "slider": jc.Body(2.0, 0.01),
-        },
-        {
-            "O": jc.Connection(jc.joint.PlainBearing(dry, radius=0.02), "ground", "crank"),
-            "A": jc.Connection(
-                jc.joint.PlainBearing(dry, radius=0.02), "crank", "rod", at=(0.2, 0.0)
-            ),
-            "B": jc.Connection(jc.joint.Revolute(), "rod", "slider", at=(0.5, 0.0)),
-            "G": jc.Connection(jc.joint.Slideway(dry), "ground", "slider", axis="x"),
-        },
-        {
-            "gravity": jc.load.Gravity(),
-            "push": jc.load.JointTorque("O", lambda t: 20.0 * jnp.cos(12 * t)),
-            "stop": jc.load.JointStop("G", lower=0.6, stiffness=1e5, restitution=0.4),
-        },
-        start={"O": 0.5},
-    )
+    loads = {
+        "gravity": jc.load.Gravity(),
+        "push": jc.load.JointTorque("O", lambda t: 20.0 * jnp.cos(12 * t)),
+        "stop": jc.load.JointStop("G", lower=0.6, stiffness=1e5, restitution=0.4),
+    }
+    pin, slide = jc.joint.PlainBearing(dry, radius=0.02), jc.joint.Slideway(dry)
+    rig = slider_crank(loads, 0.5, pin, slide)
     runs = [
         jc.simulate(
             rig, 0.14, save=2, integrator=jc.integrator.MoreauJean(1e-4, max_sweeps=n), verify=False

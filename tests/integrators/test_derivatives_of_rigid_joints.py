@@ -11,6 +11,8 @@ import pytest
 
 import jaxclear as jc
 
+# Millions of steps: they take longer than a kernel takes to be optimised.
+pytestmark = pytest.mark.usefixtures("optimised_kernels")
 GRAVITY = jc.load.Gravity((0.0, -9.81))
 STEP = 2e-7
 # Shares of a number for differences: impacts must move by many of the short steps.

@@ -98,7 +98,7 @@ def journal(restitution=0.5, mu=None, **rest):
     )
 
 
-def simulate(mechanism, duration, save=11, step=STEP, **rest):
+def simulate(mechanism, duration, save=101, step=STEP, **rest):
     return jc.simulate(
         mechanism,
         duration,
@@ -154,7 +154,7 @@ def test_a_block_is_stopped_along_its_velocity():
 def test_bounces_never_gain_energy_and_impulses_are_changes_of_momentum(restitution):
     """A ball overlaps the floor by half a step of its speed at most; energy is counted to
     rounding."""
-    found = simulate(block(0.0, 0.0, height=0.05, restitution=restitution), 1.0, save=101)
+    found = simulate(block(0.0, 0.0, height=0.05, restitution=restitution), 1.0)
     energy = found.energy_balance()
     total = np.asarray(energy.kinetic + energy.potential)
     fastest = np.sqrt(2 * GRAVITY * 0.05)
@@ -176,7 +176,7 @@ def test_bounces_never_gain_energy_and_impulses_are_changes_of_momentum(restitut
 @pytest.mark.parametrize("restitution", [1.0, 0.9])
 def test_a_journal_bouncing_in_its_bearing_never_gains_energy(restitution):
     """Not turning, no gravity: a linear scene. Measured: rounding."""
-    found = simulate(journal(restitution, speeds=(0.3, 0.2, 0.0)), 0.1, save=101)
+    found = simulate(journal(restitution, speeds=(0.3, 0.2, 0.0)), 0.1)
     energy = found.energy_balance()
     kinetic = np.asarray(energy.kinetic)
     assert np.diff(kinetic).max() < 1e-15 and float(np.abs(energy.error).max()) < 1e-12
@@ -193,9 +193,7 @@ def test_a_turning_journal_with_weight_loses_energy():
     """Speeds are of body axes, which turn: within a step of an impact the energy errs by step x
     spin x m v^2.
     """
-    found = simulate(
-        journal(0.9, 0.2, speeds=(0.3, 0.2, 5.0), gravity=(0.0, -GRAVITY)), 0.2, save=101
-    )
+    found = simulate(journal(0.9, 0.2, speeds=(0.3, 0.2, 5.0), gravity=(0.0, -GRAVITY)), 0.2)
     energy = found.energy_balance()
     total = np.asarray(energy.kinetic + energy.potential)
     assert np.diff(total).max() < STEP * 5.0 * 2 * total[0] and total[-1] < 0.1 * total[0]
@@ -212,7 +210,7 @@ def test_a_turning_journal_with_weight_loses_energy():
 def test_a_resting_journal_carries_its_weight():
     found = simulate(journal(0.9, 0.2, start=(0.0, -CLEARANCE, 0.0), gravity=(0.0, -GRAVITY)), 0.1)
     np.testing.assert_allclose(
-        found.contact("B").force[1:], np.tile([0.0, MASS * GRAVITY, 0.0], (10, 1)), atol=1e-10
+        found.contact("B").force[1:], np.tile([0.0, MASS * GRAVITY, 0.0], (100, 1)), atol=1e-10
     )
     assert float(np.abs(found.speed("body")).max()) < 1e-15
 
@@ -350,13 +348,6 @@ def test_projection_puts_no_work_into_a_driven_mechanism():
         assert float(np.abs(energy.error).max()) < 1e-6 * float(energy.input[-1])
         losses.append(float(energy.friction_loss[-1]))
     assert losses[0] == pytest.approx(losses[1], rel=1e-3)
-
-
-def test_a_mean_force_does_not_hang_on_how_often_it_is_saved():
-    mean = jc.response.MeanContactForce("B")
-    rig = journal(0.9, 0.2, speeds=(0.3, 0.2, 5.0), gravity=(0.0, -GRAVITY))
-    found = [float(mean(simulate(rig, 0.1, save=save))) for save in (21, 3)]
-    np.testing.assert_allclose(found, found[0], rtol=1e-9)
 
 
 def test_sentences_name_the_joint():

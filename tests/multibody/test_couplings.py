@@ -187,7 +187,7 @@ def pair(couplings, names="ab", **given):
     return jc.Mechanism(dict.fromkeys(names, WHEEL), joints, couplings=couplings, **given)
 
 
-GEAR = {"mesh": jc.coupling.Gear("A", "B", 2.0)}
+GEAR, MESHED = {"mesh": jc.coupling.Gear("A", "B", 2.0)}, {"B": 1.0, "A": -2.0}
 Ratio = jc.coupling.Ratio
 
 
@@ -216,9 +216,9 @@ def test_couplings_that_leave_motion_are_not(couplings):
 
 def test_what_is_given_against_a_coupling_names_it():
     with pytest.raises(ValueError, match='its loops, drives, coupling "mesh" and what'):
-        jc.assemble(pair(GEAR, start={"B": 1.0, "A": 1.0}))
+        jc.assemble(pair(GEAR, start={"B": 1.0, "A": 1.0}, speeds=MESHED))
     with pytest.raises(ValueError, match='drives, coupling "mesh" and the speeds given before'):
-        jc.assemble(pair(GEAR, speeds={"B": 1.0, "A": 1.0}))
+        jc.assemble(pair(GEAR, start=MESHED, speeds={"B": 1.0, "A": 1.0}))
 
 
 @pytest.mark.filterwarnings("ignore:.*is it in degrees")

@@ -100,7 +100,7 @@ def accelerated(joint, q, v, closing):
     system = prepare(rig)
     own_q, own_v = unpack_motion(system, [*q, *v])
     motions = kinematics.link_motions(system, own_q, own_v, 0.0)
-    forces = applied_forces(system, motions, {}, own_q, own_v, 0.0)
+    forces = applied_forces(system, motions, {}, 0.0)
     solution = forward_dynamics(system, forces, None)
     found = kinematics.link_accelerations(system, motions, solution.accelerations)[0]
     # In the ground's axes, about the body's centre of mass: alike for both trees.

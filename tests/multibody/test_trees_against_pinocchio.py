@@ -150,7 +150,7 @@ def test_random_tree_agrees_with_pinocchio(seed):
     def all_of_it(entries):
         q, v = unpack_motion(system, entries)
         motions = kinematics.link_motions(system, q, v, 0.0)
-        forces = applied_forces(system, motions, {}, q, v, 0.0)
+        forces = applied_forces(system, motions, {}, 0.0)
         solution = dynamics.forward_dynamics(system, forces, None)
         ground = tuple(-x for x in system.gravity)
         mass, bias = [], []

@@ -75,7 +75,7 @@ def test_other_integrators_wear_flanks_too(integrator):
 def test_the_play_is_as_worn_at_the_last_update():
     """Of which a run has a hundred at least."""
     share = 0.1
-    run = jc.simulate(one_way(worn_play(share=share)), DURATION, save=21, verify=False)
+    run = jc.simulate(one_way(worn_play(share=share)), DURATION, save=5, verify=False)
     seen = expected(DURATION * 99 / 100, share)
     # The spring follows the growing play with the lag of its damper.
     twist = -run.coupling("g").twist[-1]
@@ -83,9 +83,8 @@ def test_the_play_is_as_worn_at_the_last_update():
 
 
 def test_a_run_begins_between_flanks_as_worn():
-    worn = {"g": {"lower": [[5e-5]], "upper": [[2e-5]]}}
-    worn = {"g": {flank: jnp.asarray(depth) for flank, depth in worn["g"].items()}}
-    run = jc.simulate(one_way(worn_play()), 3.0, save=7, state=jc.State(worn), verify=False)
+    worn = {"g": {"lower": jnp.full((1, 1), 5e-5), "upper": jnp.full((1, 1), 2e-5)}}
+    run = jc.simulate(one_way(worn_play()), 3.0, save=5, state=jc.State(worn), verify=False)
     twist = -run.coupling("g").twist[-1]
     np.testing.assert_allclose(twist, 0.5e-3 + TORQUE / 2e3 + 5e-5 / RADIUS, atol=1e-6)
 
@@ -96,13 +95,9 @@ LAWS = [jc.flank.Nordin(), pytest.param(jc.flank.ElastoBacklash(), marks=pytest.
 @pytest.mark.parametrize("law", LAWS)
 def test_a_run_that_goes_on_presses_the_flank_as_worn_at_once(law):
     """Motor and brake are in balance, so the torque goes on as it was."""
-    steps = jc.integrator.ImplicitStep(1e-4)
-    run = jc.simulate(
-        one_way(worn_play(share=0.1, law=law)), 0.5, save=3, integrator=steps, verify=False
-    )
-    on = jc.simulate(
-        run.mechanism, 1e-3, save=11, state=run.state(), integrator=steps, verify=False
-    )
+    how = {"save": 5, "integrator": jc.integrator.ImplicitStep(1e-4), "verify": False}
+    run = jc.simulate(one_way(worn_play(share=0.1, law=law)), 0.5, **how)
+    on = jc.simulate(run.mechanism, 1e-3, state=run.state(), **how)
     torque, before = (jnp.abs(each.coupling("g").torque) for each in (on, run))
     np.testing.assert_allclose(torque, before[-1], rtol=1e-3)
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import jaxclear as jc
-from jaxclear.native import compiled, compiled_sooner, kernel, object_code, rows, while_loop
+from jaxclear.native import compiled, in_one, kernel, object_code, rows, while_loop
 from tests.rigs.spatial_loops import hinge_loops
 
 
@@ -50,11 +50,11 @@ def _function(x):
             x = jnp.sin(x) + 0.1 * k
         return x
 
-    return compiled_sooner(wave, x)
+    return in_one(wave, x)
 
 
 def test_only_what_runs_once_on_one_sample_is_not_optimised(requests, monkeypatch):
-    monkeypatch.setattr(rows, "LONG", 4)
+    monkeypatch.setattr(rows, "SHORT", 4)
     quick = compiled.compiled_quickly(_function)
     value = quick(0.3)
     assert is_each_run_once(requests) == [True]

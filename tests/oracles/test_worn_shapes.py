@@ -3,6 +3,7 @@ a tilted journal, even wear of what turns; and depths that do not go with the ce
 
 import math
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -29,10 +30,11 @@ def worn_by(wear_map, volume, place, saves=40):
     return np.asarray(_worn(wear_map, share, jnp.tile(jnp.asarray(place), (saves, 1, 1))))
 
 
+@eqx.filter_jit
 def _worn(wear_map, volumes, places):
+    """One program for all losses of one shape on one map."""
     one = lambda depth, event: (wear_map.deposit(depth, *event), None)
-    run = jax.jit(lambda v, p: jax.lax.scan(one, jnp.zeros(wear_map.cells), (v, p))[0])
-    return run(volumes, places)
+    return jax.lax.scan(one, jnp.zeros(wear_map.cells), (volumes, places))[0]
 
 
 def narrow(overlap):
@@ -201,9 +203,10 @@ def test_depth_of_a_ball_is_the_same_at_any_number_of_saves(way, within):
         found = np.asarray(_worn(wear_map, *ball_moved(saves, way)))
         np.testing.assert_allclose(found.max(), wanted.max(), rtol=5e-3)
         assert np.sum(np.abs(found - wanted) * areas) < within * np.sum(wanted * areas)
-    coarse = SphereMap((36, 18), RADIUS, CLEARANCE)
-    deepest = [np.max(_worn(coarse, *ball_moved(saves, way))) for saves in (50, 500, 2000)]
-    assert way == "arc" or max(deepest) < 1.01 * min(deepest)
+    if way == "eight":
+        coarse = SphereMap((36, 18), RADIUS, CLEARANCE)
+        deepest = [np.max(_worn(coarse, *ball_moved(saves, way))) for saves in (50, 500, 2000)]
+        assert max(deepest) < 1.01 * min(deepest)
 
 
 @pytest.mark.parametrize("saves", [1, 24, *slow(100)])

@@ -363,10 +363,7 @@ CASES = {
     ],
     "wear_life": [lambda: plot.wear_life(life())],
     "wear_life_sample": [lambda: plot.wear_life_sample(lives())],
-    "wear_surface": [
-        lambda: plot.wear_surface(run(), JOINT),
-        lambda: plot.wear_surface(run(), JOINT, exaggeration=1.0),
-    ],
+    "wear_surface": [lambda: plot.wear_surface(run(), JOINT)],
     "wear_unrolled": [lambda: plot.wear_unrolled(run(), JOINT)],
     "work_precision": [lambda: plot.work_precision(advised())],
     "worst_case": [lambda: plot.worst_case(jc.worst_case(problem(), samples=16))],

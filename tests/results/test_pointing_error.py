@@ -105,9 +105,9 @@ def trajectory(mechanism, poses):
     return jc.Trajectory(history, {}, jnp.asarray(Outcome.REACHED), time[-1], stats)
 
 
-def posed(q, deviations, turned=False):
-    poses = np.stack([oracle(a, d, turned)[:2] for a, d in zip(q, deviations, strict=True)])
-    return trajectory(antenna(turned=turned), poses)
+def posed(q, deviations):
+    poses = np.stack([oracle(a, d)[:2] for a, d in zip(q, deviations, strict=True)])
+    return trajectory(antenna(), poses)
 
 
 @pytest.fixture(scope="module")
@@ -134,19 +134,6 @@ def test_adjoint_model_is_exact_to_first_order(turned):
     # Measured 2.0000 and 2.0017 at the coarsest: what is left is the third-order term at tilts of 1
     # degree.
     assert np.all(np.abs(orders - 2) < 0.01), orders
-
-
-@pytest.mark.parametrize("turned", [False, True])
-def test_motion_is_carried_to_first_order_too(turned):
-    links = chain(antenna(turned=turned), "ground", TIP)
-
-    def difference(scale):
-        now = setting(scale * DEVIATIONS, (Q[0] + 0.02 * scale, Q[1] - 0.03 * scale))
-        error = tip_error(links, now, links, setting(0 * DEVIATIONS))
-        assert np.abs(np.stack(error.motions)).max() > 0.01 * scale
-        return np.linalg.norm(error.exact - sum(error.deviations + error.motions))
-
-    assert np.log2(difference(0.25) / difference(0.125)) == pytest.approx(2, abs=0.05)
 
 
 @pytest.mark.parametrize("turned", [False, True])
@@ -286,22 +273,6 @@ def test_error_over_a_run_recovers_deviations_and_adds_up(wobbling):
 
 
 @pytest.mark.slow
-def test_error_against_another_run_names_the_motion(wobbling):
-    run, q, deviations = wobbling
-    other = q + np.array([1e-3, -2e-3]), 0 * deviations
-    error = jc.pointing_error(run, TIP, nominal=posed(*other))
-    assert list(error.contributions) == ["J1", "J2", "motion"]
-    # Second order of turns of 2e-3 and deviations of 1e-3.
-    np.testing.assert_allclose(error.exact, error.model, rtol=0, atol=1e-5)
-    for k in (0, 20):
-        here, there = (oracle(a[k], d[k])[2] for a, d in ((q, deviations), other))
-        moved = np.linalg.norm((np.linalg.inv(there) @ here)[:3, 3])
-        assert error.position_error[k] == pytest.approx(moved, rel=1e-9)
-    same = jc.pointing_error(run, TIP, nominal=run)
-    assert np.abs(same.exact).max() < 1e-15 and np.abs(same.model).max() < 1e-15
-
-
-@pytest.mark.slow
 def test_error_maps_and_differentiates_at_zero_deviation():
     links = chain(antenna(), "ground", TIP)
 
@@ -390,27 +361,11 @@ test_chain_that_is_not_there_says_so = refusals(
 
 
 def test_error_that_cannot_be_says_so(wobbling, monkeypatch):
-    run, q, deviations = wobbling
-    alone = jc.Mechanism({"a": BODY}, {"motion": jc.Connection(bearing(), "ground", "a")})
-    other = eqx.tree_at(lambda r: r.mechanism, run, alone)
-    against = lambda nominal: jc.pointing_error(run, TIP, nominal=nominal)
-    for sentence, ask in {
-        r"the tip is \(0, 0\); it must be a jaxclear.Marker or the name of a b": lambda: (
-            jc.pointing_error(run, (0, 0))
-        ),
-        "the run has 21 saving times, the nominal run 20": lambda: against(
-            posed(q[:20], deviations[:20])
-        ),
-        "saved at different times": lambda: against(
-            eqx.tree_at(lambda r: r.time, run, 2 * run.time)
-        ),
-        "must be the same connections, from the same side": lambda: against(
-            posed(q, deviations, turned=True)
-        ),
-        'joint "motion" bears the name': lambda: jc.pointing_error(other, "a", nominal=other),
-    }.items():
-        with pytest.raises(ValueError, match=sentence):
-            ask()
+    run = wobbling[0]
+    with pytest.raises(
+        ValueError, match=r"the tip is \(0, 0\); it must be a jaxclear.Marker or the"
+    ):
+        jc.pointing_error(run, (0, 0))
     monkeypatch.setattr(jc.clearance.JournalBearing, "ideal_rows", ("x", "x.y"))
     with pytest.raises(ValueError, match='joint "J1" becomes an ideal joint with the rows x, x.y'):
         jc.pointing_error(run, TIP)

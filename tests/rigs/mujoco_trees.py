@@ -103,7 +103,7 @@ def largest_difference(path, *, floating=False, draws=3):
     def accelerations(entries):
         q, v = unpack_motion(system, entries)
         motions = kinematics.link_motions(system, q, v, 0.0)
-        springs = applied_forces(system, motions, {}, q, v, 0.0)
+        springs = applied_forces(system, motions, {}, 0.0)
         solution = dynamics.forward_dynamics(system, springs, None)
         return sp.stack([a for part in solution.accelerations for a in part])
 

@@ -214,18 +214,81 @@ class Knock(jc.load.AbstractCoordinateLoad):
         return force, 0.0, 0.0, force * speed
 
 
+class StripOnBody(jc.load.AbstractBodyLoad):
+    """The strip by a body's place in the ground frame."""
+
+    marker: jc.Marker
+
+    def markers(self):
+        return (self.marker,)
+
+    def effect(self, time, motions):
+        (motion,) = motions
+        force, *energies = Strip("").force(time, motion.pose.translation[0], motion.velocity[0])
+        return jc.load.Effect((jc.load.Action(self.marker, (force, 0, 0), (0, 0, 0)),), *energies)
+
+
+class StripInJoint(jc.load.AbstractJointLoad):
+    """The strip by how far the parts of a joint are apart along its axis."""
+
+    connection: str = eqx.field(static=True)
+
+    def act(self, time, motion, states):
+        force = Strip("").force(time, motion.pose.translation[2], motion.velocity[2])[0]
+        return jc.load.JointEffect((0, 0, force))
+
+
 def with_own(load, initial):
     slide = jc.Connection(jc.joint.Prismatic(), "ground", "cart", axis="x")
-    cart, loads = jc.Body(MASS, 1.0), {"own": load("G")}
+    place = jc.Marker("cart") if issubclass(load, jc.load.AbstractBodyLoad) else "G"
+    cart, loads = jc.Body(MASS, 1.0), {"own": load(place)}
     return jc.Mechanism({"cart": cart}, {"G": slide}, loads, speeds={"G": initial})
+
+
+BEHIND_THE_STRIP = np.sqrt(6.0**2 - 2 * 2e4 * 0.5e-3 / MASS)
+STRIPS = (Strip, StripOnBody, StripInJoint)
+
+
+@pytest.mark.parametrize("strip", STRIPS, ids=lambda each: each.__name__)
+def test_a_load_of_the_users_own_is_felt_wherever_it_acts(strip):
+    """On a coordinate, a body or in a joint; or steps of fixed length say that they passed it."""
+    rig = with_own(strip, 6.0)
+    braked = jc.simulate(rig, 1.0, save=3)
+    assert speed(braked) == pytest.approx(BEHIND_THE_STRIP, rel=3e-5) and not braked.warnings
+    passed = jc.simulate(rig, 1.0, save=3, integrator=jc.integrator.FixedStep(1e-3), verify=False)
+    assert ['of the impulse of "own"' in said for said in passed.warnings] == [True]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("strip", STRIPS, ids=lambda each: each.__name__)
+def test_a_study_feels_loads_of_the_users_own_too_or_says_so(strip):
+    """Of each sample, as the nominal one shows that there is something."""
+    mass = jc.Variable(lambda rig: rig.bodies["cart"].mass, jc.distribution.Uniform(0.1))
+    end = {"speed": lambda run: run.speed("G")[-1]}
+    question = lambda integrator: jc.Problem(
+        with_own(strip, 6.0), end, {"mass": mass}, duration=1.0, save=3, integrator=integrator
+    )
+    answer = question(jc.integrator.Adaptive()).evaluate([0.95 * MASS])
+    left = np.sqrt(6.0**2 - 2 * 2e4 * 0.5e-3 / (0.95 * MASS))
+    assert float(answer.responses["speed"]) == pytest.approx(left, rel=1e-4)
+    passed = question(jc.integrator.FixedStep(1e-3)).evaluate([MASS]).checks
+    assert passed.figures[Check.LOAD_STEP].worst[0] == pytest.approx(1.0)
+
+
+def test_a_study_of_a_load_that_steps_resolve_does_not_look_at_each_sample():
+    mass = jc.Variable(lambda rig: rig.bodies["cart"].mass, jc.distribution.Uniform(0.1))
+    end = {"speed": lambda run: run.speed("G")[-1]}
+    steps = jc.integrator.FixedStep(1e-5)
+    rig = with_own(Knock, 0.0)
+    calm = jc.Problem(rig, end, {"mass": mass}, duration=0.1, save=3, integrator=steps)
+    assert not calm.experiment.looks_along
 
 
 @pytest.mark.parametrize("save", [3, 101])
 def test_a_load_of_the_users_own_is_felt_however_shortly_it_acts(save):
     """By its work, and by its impulse."""
     braked = jc.simulate(with_own(Strip, 6.0), 1.0, save=save)
-    left = np.sqrt(6.0**2 - 2 * 2e4 * 0.5e-3 / MASS)
-    assert speed(braked) == pytest.approx(left, rel=3e-5) and not braked.warnings
+    assert speed(braked) == pytest.approx(BEHIND_THE_STRIP, rel=3e-5) and not braked.warnings
     knocked = jc.simulate(with_own(Knock, 0.0), 5.0, save=save)
     assert speed(knocked) == pytest.approx(1e3 * 1e-3 / MASS, rel=1e-5)
 
@@ -249,7 +312,7 @@ def test_a_load_of_the_users_own_is_felt_in_a_program_of_the_user_too(load, init
         rig = eqx.tree_at(lambda rig: rig.bodies["cart"].mass, with_own(load, initial), mass)
         return jc.simulate(rig, 5.0, save=101, integrator=integrator, throw=False, verify=False)
 
-    after = np.sqrt(6.0**2 - 2 * 2e4 * 0.5e-3 / MASS) if load is Strip else 1.0 / MASS
+    after = BEHIND_THE_STRIP if load is Strip else 1.0 / MASS
     felt = jax.jit(lambda mass: run(mass, jc.integrator.Adaptive()).speed("G")[-1])
     assert float(felt(MASS)) == pytest.approx(after, rel=1e-4)
     steps = jc.integrator.FixedStep(5e-3 if load is Knock else 1e-3)

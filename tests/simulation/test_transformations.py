@@ -1,5 +1,5 @@
 """What JAX makes of a run is right or says why: every cell of the book's table on derivatives,
-against differences; of each row derivatives of both modes by both entry points."""
+against differences; of each row by both entry points."""
 
 import functools
 import re
@@ -32,23 +32,23 @@ DISCRETE = ", `discrete_derivatives=True`"
 
 
 def rows():
-    """(joints, integrator, {column: word}) of each row."""
+    """(joints, integrator, [(transformations, word)]) of each row."""
     lines = [line for line in PAGE.read_text().splitlines() if line.startswith("|")]
     lines = lines[next(i for i, line in enumerate(lines) if "`hessian`" in line) :]
     cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
     names = [re.findall(r"`(\w+)`", each) for each in cells[0][2:]]
     for joints, integrator, *words in cells[2:]:
-        told = {n: word for own, word in zip(names, words, strict=True) for n in own}
-        yield joints, integrator.strip("`"), told
+        yield joints, integrator.strip("`"), list(zip(names, words, strict=True))
 
 
 def cells():
-    """Each cell by one entry point, in turn: a row has `jvp` by one and `jacfwd` by the other,
-    `grad` and `jacrev` likewise, and columns change entry from row to row."""
-    for i, (joints, integrator, words) in enumerate(rows()):
-        for j, (name, word) in enumerate(words.items()):
+    """Each cell by one of its transformations and one entry point, in turn: a row has one mode by
+    one and the other by the other, and of two rows with one entry in a column one has `jvp` (or
+    `grad`), the next `jacfwd` (or `jacrev`)."""
+    for i, (joints, integrator, told) in enumerate(rows()):
+        for j, (names, word) in enumerate(told):
             entry = "evaluate" if DISCRETE in joints else ENTRIES[(i + j) % 2]
-            yield joints, integrator, name, word, entry
+            yield joints, integrator, names[i // 2 % len(names)], word, entry
 
 
 def integrator_of(text: str, step: float, duration: float) -> AbstractIntegrator:
@@ -158,7 +158,7 @@ def test_the_books_table_names_every_integrator_and_entry():
     named = {text.split("(")[0] for _, text, _ in rows()}
     family = {name for name in jc.integrator.__all__ if is_integrator(name)}
     assert named == family
-    words = {word for *_, told in rows() for word in told.values()}
+    words = {word for *_, told in rows() for _, word in told}
     assert words == {"right", "discrete", "says why"}
 
 

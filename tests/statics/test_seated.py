@@ -35,6 +35,20 @@ def slider_crank(kind=jc.clearance.PlanarJournalBearing, wear=True, push=-400.0)
     )
 
 
+def test_other_numbers_rest_by_the_same_programs(caplog):
+    """A program was made of each depth that was tried."""
+    bearing = jc.clearance.PlanarJournalBearing(LAW, clearance=1e-4)
+    pressed = lambda load: jc.Mechanism(
+        {"shaft": jc.Body(1.0, 1e-3)},
+        {"J": jc.Connection(bearing, "ground", "shaft")},
+        {"load": jc.load.Force(jc.Marker("shaft"), (0.0, -load))},
+    )
+    jc.resting_state(pressed(100.0))
+    with jax.log_compiles():
+        jc.resting_state(pressed(150.0))
+    assert not [each for each in caplog.records if each.msg.startswith("Compiling")]
+
+
 @pytest.mark.slow
 def test_a_seated_journal_carries_its_reaction_from_the_first_instant_on():
     """That of the joint which always touches; from the middle it falls through its play first."""

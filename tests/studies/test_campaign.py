@@ -231,22 +231,18 @@ def test_any_study_goes_on_where_it_was_interrupted(tmp_path, monkeypatch):
 
     monkeypatch.setattr(batch.Program, "run", counted)
     monkeypatch.setattr(batch, "threads_of", lambda: 1)
-    ask = {"folder": tmp_path / "kept", "study": jc.sensitivity, "difference_samples": 32}
+    ask = {"sample": 64, "difference_samples": 32, "store": tmp_path / "kept"}
     with monkeypatch.context() as patched:
         patched.setattr(Store, "write", ends)
         with pytest.raises(SystemExit):
-            jc.campaign(asked, 64, **ask)
-    found = jc.campaign(asked, 64, **ask)
+            jc.sensitivity(asked, **ask)
+    found = jc.sensitivity(asked, **ask)
     assert str(found.table()) == str(plain.table())
     # The second set of samples was lost.
     whole = len(list((tmp_path / "kept" / CHUNKS).iterdir()))
     assert whole >= 3 and len(computed) == whole + 1
-    jc.campaign(asked, 64, **ask)
+    jc.sensitivity(asked, **ask)
     assert len(computed) == whole + 1
     other = jc.FunctionProblem(lambda a, b: a * b, asked.variables)
     with pytest.raises(ValueError, match="of another problem: function is"):
-        jc.campaign(other, 64, **ask)
-    with pytest.raises(ValueError, match="must be one of"):
-        jc.campaign(asked, 64, folder=tmp_path / "kept", study=jc.advise)
-    with pytest.raises(ValueError, match="sensitivity has no client"):
-        jc.campaign(asked, 64, client=1, **ask)
+        jc.sensitivity(other, **ask)

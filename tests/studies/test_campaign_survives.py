@@ -17,6 +17,8 @@ import pytest
 import jaxclear as jc
 from jaxclear.studies.store import workers as dask_workers
 from jaxclear.studies.store.store import CHUNKS, Store
+from tests.rigs.wearing_ring import problem as one_turn
+from tests.rigs.wearing_ring import wearing_ring
 from tests.studies.test_campaign import contents, problem
 
 pytestmark = pytest.mark.slow
@@ -149,9 +151,7 @@ def test_a_cluster_whose_workers_have_not_joined_is_waited_for(tmp_path, monkeyp
 @pytest.mark.usefixtures("optimised_kernels")
 def test_a_mechanism_travels_to_workers(tmp_path):
     distributed = pytest.importorskip("distributed")
-    from jaxclear.commands.four_bar import problem as four_bar
-
-    asked = four_bar(0.01, 5)
+    asked = one_turn(wearing_ring())
     cluster = distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None)
     with cluster, distributed.Client(cluster) as client:
         found = jc.campaign(asked, 96, folder=tmp_path / "there", client=client)

@@ -229,9 +229,8 @@ def swinging(stiffness=400.0, damping=1.0):
     )
 
 
-@pytest.mark.slow
-def test_a_spring_is_told_by_how_its_mass_swings():
-    """Against the closed form of a damped oscillation."""
+def identified_spring(integrator):
+    """A spring of 420 N/m and 1.3 N s/m, by the closed form of a damped oscillation."""
     time = np.linspace(0.0, 1.0, 101)
     decay, speed = 0.5 * 1.3, np.sqrt(420.0 - 0.25 * 1.3**2)
     wave = np.cos(speed * time) + decay / speed * np.sin(speed * time)
@@ -246,14 +245,31 @@ def test_a_spring_is_told_by_how_its_mass_swings():
             "damping": jc.Variable(lambda m: m.loads["spring"].damping, Uniform(0.9)),
         },
         duration=1.0,
-        integrator=jc.integrator.Adaptive(),
+        integrator=integrator,
     )
     sensors = {"x": jc.sensor.Displacement("mass", noise=noise)}
-    found = jc.identify(problem, jc.Measurement(time, {"x": shown}, sensors), 64, how="signal")
+    return jc.identify(problem, jc.Measurement(time, {"x": shown}, sensors), 64, how="signal")
+
+
+@pytest.mark.slow
+def test_a_spring_is_told_by_how_its_mass_swings():
+    found = identified_spring(jc.integrator.Adaptive())
     for name, true in (("stiffness", 420.0), ("damping", 1.3)):
         own = found[name]
         assert own.verdict == "identified" and own.low < true < own.high
     assert found["stiffness"].width < 0.05
+    assert "By the steps" not in found.sentence()
+
+
+@pytest.mark.slow
+def test_what_steps_make_of_an_unknown_is_said():
+    """By a symplectic method of order 2 a spring swings faster by (omega h)^2 / 24."""
+    found = identified_spring(jc.integrator.FixedStep(2.5e-3, "semi_implicit"))
+    own = found["stiffness"]
+    assert not own.low < 420.0 < own.high
+    (sentence,) = [x for x in found.remarks if "By the steps" in x and "stiffness" in x]
+    moved = float(sentence.split("about ")[1].split()[0]) * (own.high - own.low) / 3.92
+    assert moved == pytest.approx(abs(own.estimate - 420.0), rel=0.5)
 
 
 def test_what_lies_outside_the_distributions_is_said_though_the_noise_is_not_known():

@@ -3,6 +3,7 @@
 import re
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -155,7 +156,8 @@ def test_worn_surfaces_are_updated_twice_as_often_by_the_same_program():
     problem = jc.Problem(rig, counted, clearance, **asked)
     traced.clear()
     found = jc.monte_carlo(problem, 2, chunk=2)
-    assert len(traced) == 1
+    # In the program of samples and replicas, and to see whether it reads depths.
+    assert len(traced) == 2
     often = asked | {"integrator": jc.integrator.FixedStep(5e-6), "save": 9}
     finer = jc.Problem(rig, volume, clearance, **often)
     told = evaluate_chunk(finer, jnp.asarray(found.values)).responses["response"]
@@ -348,15 +350,13 @@ def test_a_kept_study_of_derivatives_keeps_replicas_beside_what_it_asked_before(
     asked = falling()
     how = {"sample": 8, "difference_samples": 8, "variables": "gravity"}
     plain = jc.sensitivity(asked, **how)
-    found = jc.campaign(asked, folder=tmp_path, study=jc.sensitivity, **how)
+    found = jc.sensitivity(asked, store=tmp_path, **how)
     files = len(list((tmp_path / CHUNKS).iterdir()))
     without = tmp_path / "without"
-    jc.campaign(asked, folder=without, study=jc.sensitivity, verify=False, **how)
+    jc.sensitivity(asked, store=without, verify=False, **how)
     assert 0 < len(list((without / CHUNKS).iterdir())) < files
     for name, told in plain.sample.replicas.responses.items():
         np.testing.assert_array_equal(found.sample.replicas.responses[name], told)
-    with pytest.raises(ValueError, match="sobol_indices has no verify"):
-        jc.campaign(asked, 8, folder=tmp_path / "b", study=jc.sobol_indices, verify=False)
 
 
 def test_intervals_of_derivatives_hold_what_steps_do():
@@ -388,12 +388,39 @@ def test_a_bias_of_a_derivative_that_replicas_do_not_tell_is_said():
 
 
 @pytest.mark.parametrize(
-    ("response", "says"),
-    [(jc.response.PeakWornDepth("B"), True), (jc.response.WornVolume("B"), False)],
+    ("response", "reads"),
+    [
+        (jc.response.PeakWornDepth("B"), True),
+        (jc.response.WornVolume("B"), False),
+        (lambda run: jnp.max(run.worn["B"]["bearing"]), True),
+        (lambda run: jnp.max(run.contact("B").force), False),
+    ],
 )
-def test_a_study_of_worn_depths_says_that_cells_are_not_refined(response, says):
+def test_what_reads_worn_depths_has_replicas_on_wider_cells(response, reads):
     rig = loaded_bearing(200.0, jc.friction.CoulombTanh(mu_kinetic=0.1))
     varied = {"load": jc.Variable(lambda rig: rig.loads["load"].force, tolerance=20.0)}
     steps = jc.integrator.FixedStep(1e-5)
     problem = jc.Problem(rig, {"worn": response}, varied, duration=0.02, save=11, integrator=steps)
-    assert ("size of cells" in problem.description.remark) == says
+    wider = problem.experiment.on_wider_cells()
+    assert (wider is not None) == reads
+    if reads:
+        forms = [jax.tree.structure(each) for each in (wider, problem.experiment)]
+        assert forms[0] == forms[1]
+
+
+@pytest.mark.slow
+def test_the_bias_of_a_worn_depth_contains_what_cells_leave():
+    """The reference has cells an eighth as wide. Volumes hang on steps alone."""
+    rig = jc.scenes.four_bar("planar", cells=(144, 1))
+    asked = {"depth": jc.response.PeakWornDepth("B"), "volume": jc.response.WornVolume("B")}
+    mass = {"m": jc.Variable(lambda r: r.bodies["coupler"].mass, jc.distribution.Uniform(0.05))}
+    how = {"duration": 0.2, "save": 51, "integrator": jc.integrator.FixedStep(2e-5)}
+    found = jc.monte_carlo(jc.Problem(rig, asked, mass, **how), 16)
+    finer = jc.scenes.four_bar("planar", cells=(1152, 1))
+    right = jc.monte_carlo(jc.Problem(finer, asked, mass, **how), 16, verify=False)
+    off = {name: found.mean(name).value - right.mean(name).value for name in asked}
+    size = {name: right.mean(name).value for name in asked}
+    assert off["depth"] < -0.05 * size["depth"]
+    stated = found.numerical_error("depth")
+    assert stated.bias < 0 and abs(off["depth"]) < abs(stated.bias) + stated.uncertainty
+    assert abs(found.numerical_error("volume").bias) < 1e-3 * size["volume"]

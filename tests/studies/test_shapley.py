@@ -85,7 +85,7 @@ def test_a_surface_stands_for_its_problem_and_says_where_it_does_not():
         {"a": jc.Dimension(0.0, Normal(1.0)), "b": jc.Dimension(0.0, Normal(1.0))},
         correlation={("a", "b"): 0.5},
     )
-    found = jc.shapley_effects(jc.surface(problem, degree=1), 1024)
+    found = jc.shapley_effects(jc.surface(problem), 1024)
     truth = exact(np.array([1.0, -2.0]), np.array([[1.0, 0.5], [0.5, 1.0]]))
     for name, value in zip("ab", truth, strict=True):
         own = found.effects["fine", name]

@@ -188,9 +188,7 @@ def write_plan(folder, plan):
 
 
 def test_folders_of_other_versions_are_refused_in_a_sentence(tmp_path):
-    """Of jaxclear 0.35 or 0.36, with a plan and where it was lost; and of a later format."""
-    for folder in ("whole", "lost"):
-        (tmp_path / folder / "pieces").mkdir(parents=True)
+    """Of jaxclear 0.35 or 0.36, whose files have no format; and of a later one."""
     write_plan(tmp_path / "whole", {"what": "a Monte Carlo campaign", "plan": {}, "problem": "{}"})
     ask_for_campaign(tmp_path / "later")
     saved = json.loads((tmp_path / "later" / STUDY).read_text())
@@ -225,7 +223,7 @@ STUDIES = {
     ),
     "sobol_indices": lambda p, **how: jc.sobol_indices(p, 16, **how),
     "shapley_effects": lambda p, **how: jc.shapley_effects(p, 32, **how),
-    "surface": lambda p, **how: jc.surface(p, 32, slopes=True, **how),
+    "surface": lambda p, **how: jc.surface(p, 32, **how),
     "corrected_statistics": lambda p, **how: jc.corrected_statistics(jc.surface(p, 32), 8, **how),
     "multi_fidelity": lambda p, **how: jc.multi_fidelity(p, rough(0.9), 256, **how),
     "reliability": lambda p, **how: jc.reliability(

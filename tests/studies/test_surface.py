@@ -47,7 +47,8 @@ def test_a_polynomial_is_met_with_its_derivatives(problem, surface):
 
 def test_what_is_left_out_is_predicted_as_by_a_fit_without_it(problem):
     """Against 20 fits by numpy, each without one run."""
-    found = jc.surface(problem, 20, degree=2)
+    found = jc.surface(problem, 20)
+    assert found.degrees["smooth"] == 2
     x, y = found.values, found.responses["smooth"]
     pairs = [(j, k) for j in range(3) for k in range(j, 3)]
     design = np.column_stack([x[:, j] * x[:, k] for j, k in pairs])
@@ -76,17 +77,8 @@ def test_a_rough_response_is_not_trusted_and_says_so(surface):
     assert list(surface.table()["stands for runs"]) == [True, False, True]
 
 
-def test_slopes_are_equations_too(problem):
-    """Ten terms from five runs with slopes: 20 equations."""
-    found = jc.surface(problem, 5, degree=2, slopes=True)
-    at = jnp.array([1.1, 1.9, 0.01])
-    np.testing.assert_allclose(found(at)["polynomial"], responses(*at)["polynomial"], rtol=1e-9)
-    with pytest.raises(ValueError, match="take at least 15 runs, or a lower degree"):
-        jc.surface(problem, 5, degree=2)
-
-
 def test_ranges_are_filled_whatever_the_distribution(problem):
-    found = jc.surface(problem, over={"a": (0.0, 2.0)}, degree=3)
+    found = jc.surface(problem, over={"a": (0.0, 2.0)})
     assert found.values[:, 0].min() < 0.1 and found.values[:, 0].max() > 1.9
     assert abs(found.values[:, 1] - 2.0).max() <= 0.3
 
@@ -95,7 +87,7 @@ def test_failed_runs_are_left_out_and_counted():
     broken = jc.FunctionProblem(
         lambda a: jnp.where(a > 0.5, jnp.nan, a**2), {"a": jc.Dimension(0.0, Normal(1.0))}
     )
-    found = jc.surface(broken, 64, degree=2)
+    found = jc.surface(broken, 64)
     assert 10 < found.failed < 30 and len(found.values) == 64 - found.failed
     assert f"({found.failed} more failed and are left out)" in found.sentence()
     assert found(jnp.array([-1.0]))["response"] == pytest.approx(1.0)
@@ -110,7 +102,6 @@ REFUSED = {
     "3 of 3 runs reached their end, too few": {"sample": 3},
     'no variable "x" in this problem': {"over": {"x": (0, 1)}},
     "two finite numbers, low and high": {"over": {"a": (1, 0)}},
-    "a whole number, at least 1": {"degree": 0},
 }
 
 
@@ -133,7 +124,7 @@ def test_corrected_intervals_hold_the_closed_form():
         {"a": jc.Dimension(1.0, Normal(0.2)), "b": jc.Dimension(2.0, Normal(0.3))},
     )
     deviation = mean * np.sqrt(np.exp(variance) - 1)
-    surface, held = jc.surface(problem, degree=2), np.zeros(3)
+    surface, held = jc.surface(problem), np.zeros(3)
     limit = {"big": jc.limit_state.Above("q", 10.0)}
     for seed in range(40):
         found = jc.corrected_statistics(surface, 16, seed=seed, limits=limit)
@@ -167,5 +158,5 @@ def test_many_variables_have_the_terms_that_samples_and_memory_bear(monkeypatch)
     )
     monkeypatch.setattr(fitting, "MOST_NUMBERS", 300)
     assert jc.surface(plane, 64).degrees == {"response": 1}
-    with pytest.raises(ValueError, match=r"degree 2 in 2 variables has 6 terms, and 64 runs .* 50"):
-        jc.surface(plane, 64, degree=2)
+    with pytest.raises(ValueError, match=r"2 variables has 3 terms, and 128 runs .* 100 runs at"):
+        jc.surface(plane, 128)

@@ -82,9 +82,12 @@ def pareto_front(
     bounds: Sequence[float],
     *,
     limit: int = 0,
+    tolerance: Mapping[str, Any] | None = None,
+    nominal: Mapping[str, Any] | None = None,
+    choose: Mapping[str, Any] | None = None,
     settings: DesignSettings | None = None,
     store: str | Path | None = None,
-    **choices: Any,
+    progress_bar: bool = False,
 ) -> list[Design]:
     """The Pareto front of cost against the bound of one limit.
 
@@ -96,10 +99,11 @@ def pareto_front(
         limits: one member of `jaxclear.limit` or a sequence.
         bounds: values of the bound, a sequence, in the unit of the limit.
         limit: index of the limit that has these bounds; 0 by default.
+        tolerance, nominal, choose: mapping from names to what to choose, as of `design`; None by
+            default.
         settings: `DesignSettings` of the search; None for the defaults.
         store: folder that keeps the runs; None (default) for none.
-        choices: `tolerance`, `nominal`, `choose` and `progress_bar`, a dictionary each or whether,
-            as of `design`.
+        progress_bar: whether to show the progress; False by default.
 
     Returns:
         A list of `Design`, one for each bound.
@@ -107,21 +111,13 @@ def pareto_front(
     Raises:
         ValueError: if an argument is wrong.
     """
-    unknown = set(choices) - {"tolerance", "nominal", "choose", "progress_bar"}
-    if unknown:
-        raise TypeError(
-            f'pareto_front has no argument "{sorted(unknown)[0]}"; beside bounds and limit it '
-            "takes what jaxclear.design takes."
-        )
-    show = choices.pop("progress_bar", False)
-    check_flags("pareto_front", progress_bar=show)
-    free = [choices.get(name) for name in ("tolerance", "nominal", "choose")]
-    question = _make_question(problem, cost, limits, *free)
+    check_flags("pareto_front", progress_bar=progress_bar)
+    question = _make_question(problem, cost, limits, tolerance, nominal, choose)
     check_count("limit of pareto_front", limit, at_least=0)
     if limit >= len(question.limits):
         raise ValueError(f"there is no limit {limit}; there are {len(question.limits)}, from 0 on.")
     settings = _check_settings(settings)
-    runs = _make_runs(problem, settings, show)
+    runs = _make_runs(problem, settings, progress_bar)
     designs = []
     for bound in bounds:
         bounded_limits = list(question.limits)

@@ -209,17 +209,6 @@ def quantile(values: Values, weights: Values, share: Scalar) -> Scalar:
     return jnp.sum(kernel * values[order]) / jnp.sum(kernel)
 
 
-def share_above(values: Values, weights: Values, threshold: Scalar) -> Scalar:
-    """Share of the population above a threshold [1].
-
-    Args:
-        values: of a response, shape (samples,).
-        weights: of the samples [1], with a sum of 1.
-        threshold: in the unit of the values.
-    """
-    return jnp.sum(jnp.where(values > threshold, weights, 0.0))
-
-
 __all__ = [
     "AbstractLimit",
     "AbstractOneSidedLimit",
@@ -396,7 +385,7 @@ class Probability(AbstractLimit):
         return sides[0] if len(sides) == 1 else jnp.maximum(*sides)
 
     def number(self, sample):
-        return share_above(self.beyond(sample.values), sample.weights, 0.0)
+        return jnp.sum(jnp.where(self.beyond(sample.values) > 0.0, sample.weights, 0.0))
 
     def estimate(self, values, group):
         return scrambled.share(np.asarray(self.beyond(values)) > 0, group)

@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 import scipy
 
-from jaxclear.ground.arguments import check_count, check_name
+from jaxclear.ground.arguments import check_count
 from jaxclear.ground.quantity import AbstractQuantified, Scalar, count, quantity
 from jaxclear.studies.design.discrete import chosen
 from jaxclear.studies.design.lagrangian import cheapest_by_steps
@@ -46,8 +46,7 @@ OFTEN = 0.02
 FIXED_POINTS = 12
 # Points closer than this share of their distance are one.
 ONE = 0.3
-METHODS = ("auto", "slsqp", "optax")
-# More free numbers than this are searched by steps of optax.
+# More free numbers than this go by steps of optax (augmented Lagrangian) and not by SLSQP.
 TENS = 40
 
 
@@ -64,13 +63,11 @@ class DesignSettings(AbstractQuantified):
             least 64.
         rounds: largest number of verifications; 6 by default.
         seed: seed of the random numbers; 0 by default.
-        method: name of the optimiser: "slsqp", "optax" (augmented Lagrangian), or "auto" (default),
-            which takes the latter for more than 40 free numbers.
         surface: whether a response surface stands in for the problem; None (default): unless it is
             a `FunctionProblem`, whose own slopes are searched where it has them.
 
     Raises:
-        ValueError: if a number is out of range or there is no such method.
+        ValueError: if a number is out of range.
     """
 
     allowed_excess: Scalar = quantity(5e-3, "1", above=0, below=1)
@@ -79,24 +76,11 @@ class DesignSettings(AbstractQuantified):
     runs: int | None = eqx.field(static=True, default=None)
     rounds: int = count(6)
     seed: int = count(0, at_least=0)
-    method: str = eqx.field(static=True, default="auto")
     surface: bool | None = eqx.field(static=True, default=None)
 
     def __check_init__(self):
-        check_name("method of a design", self.method, METHODS)
         if self.runs is not None:
             check_count("runs of DesignSettings", self.runs)
-
-    def uses_steps(self, free: int) -> bool:
-        """Whether optax takes the steps.
-
-        Args:
-            free: number of free numbers.
-
-        Returns:
-            True or False.
-        """
-        return self.method == "optax" or (self.method == "auto" and free > TENS)
 
 
 class Round(NamedTuple):
@@ -294,7 +278,7 @@ class _Seeking:
             # The surface says at the last candidate what runs say.
             shift = self.verified - search.evaluate(self.place)[0][1:]
             search = search._replace(shift=np.where(np.isfinite(shift), shift, 0.0))
-        if self.settings.uses_steps(len(low)):
+        if len(low) > TENS:
             return chosen(search, cheapest_by_steps(search, starts[0]))
         return chosen(search, cheapest(search, starts))
 

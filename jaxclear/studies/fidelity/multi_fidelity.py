@@ -21,7 +21,6 @@ from jaxclear.studies.problem import Problem
 from jaxclear.studies.run_warnings import any_warning
 from jaxclear.studies.sampling import check_sampled, draw
 from jaxclear.studies.scrambling import seed_of
-from jaxclear.studies.statistics.accuracy import parse_accuracy, unreached
 from jaxclear.studies.statistics.scrambled import Statistic, deviation_of_moments, student
 from jaxclear.studies.store.store import stored
 
@@ -59,7 +58,6 @@ def multi_fidelity(
     cheaper: Problem | Mapping[str, Problem],
     samples: int = 1024,
     *,
-    accuracy: float | Mapping[str, float] | None = None,
     costs: Mapping[str, float] | None = None,
     seed: int = 0,
     sampling: str = "sobol",
@@ -68,10 +66,9 @@ def multi_fidelity(
 ) -> MultiFidelity:
     """Means and standard deviations of a problem, from its own runs and many of cheaper problems.
 
-    A pilot sample decides which cheaper problems are used and how many runs of each. Apart from the
-    effect of stopping at an accuracy the estimates are unbiased, whatever the cheaper problems
-    give. Where none reduces the work, the problem is sampled alone, and `sentence()` of the result
-    says so.
+    A pilot sample decides which cheaper problems are used and how many runs of each. The estimates
+    are unbiased, whatever the cheaper problems give. Where none reduces the work, the problem is
+    sampled alone, and `sentence()` of the result says so.
 
     Args:
         problem: the problem.
@@ -79,8 +76,6 @@ def multi_fidelity(
             `problem.with_integrator(...)`, or a dictionary of several by name.
         samples: work allowed, as a number of runs of the problem, the pilot sample included; 1024
             by default.
-        accuracy: required half width of the 95 % interval of each mean, as of `monte_carlo`, a
-            factor [1] or a dictionary; the study stops where it is reached. None by default.
         costs: work of a run of each cheaper problem, as a factor of that of the problem [1], by
             name ("cheaper" for a single one); None (default) for the ratio of CPU times in the
             pilot sample without compilation, rounded to half a power of two.
@@ -99,7 +94,6 @@ def multi_fidelity(
     check_flags("multi_fidelity", progress_bar=progress_bar)
     least = SCRAMBLINGS * (PILOT_POINTS + FIRST)
     check_count("samples of multi_fidelity", samples, at_least=2 * least)
-    request = parse_accuracy(accuracy, problem.response_names, "multi_fidelity")
     models = models_of(problem, cheaper, samples)
     fixed_costs = _check_costs(costs, models)
     points = 2 ** int(np.log2(max(samples * PILOT_SHARE / SCRAMBLINGS, PILOT_POINTS)))
@@ -108,18 +102,20 @@ def multi_fidelity(
     )
     pilot = _Pilot(question, models, points, fixed_costs)
     question = question._replace(middle=pilot.middle)
-    errors, target = pilot.target_errors(request)
+    # By this responses are weighed against each other; one that is 0 has no error to lessen.
+    varies = pilot.size > 0
+    errors = np.where(varies, pilot.size, 1.0)
     chain = chosen(pilot.moments(), pilot.costs, errors, SCRAMBLINGS)
     links = Links(question, models, chain, pilot.costs)
     links.begin(samples - pilot.work)
     count = len(question.names)
     times = student(SCRAMBLINGS) / np.sqrt(SCRAMBLINGS)
     half = lambda parts: times * parts[:, :count].std(axis=0, ddof=1)
-    while not np.all(half(links.parts()) <= target):
+    while not np.all(half(links.parts())[varies] <= 0.0):
         hardest = lambda parts: int(np.argmax(half(parts) / errors))
         if not links.grow(samples - pilot.work, hardest):
             break
-    return _result(question, models, chain, links, pilot, target if request else None)
+    return _result(question, models, chain, links, pilot)
 
 
 def _check_costs(costs: Mapping[str, float] | None, models: list[Model]) -> dict[str, float]:
@@ -168,18 +164,6 @@ class _Pilot:
         """Of each model, (samples, 2 responses)."""
         return [runs.moments(self.middle) for runs in self.outcomes]
 
-    def target_errors(self, request: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Half widths (responses,) by which responses are weighed against each other, and those
-        that end the study: none is too small where no accuracy is asked."""
-        size = np.where(self.size > 0, self.size, 1.0)
-        names = self.question.names
-        if request is None:
-            return size, np.where(self.size > 0, 0.0, np.inf)
-        requested, share = request
-        errors = np.array([requested.get(name, np.inf) for name in names])
-        errors = np.where(np.isfinite(errors), errors * (size if share else 1.0), np.inf)
-        return errors, errors
-
     def correlations(self) -> dict[tuple[str, str], float]:
         """Of each cheaper model's responses with the problem's."""
         values = {}
@@ -194,11 +178,11 @@ class _Pilot:
         return values
 
 
-def _result(question, models, chain: Chain, links: Links, pilot: _Pilot, target) -> MultiFidelity:
+def _result(question, models, chain: Chain, links: Links, pilot: _Pilot) -> MultiFidelity:
     parts, names = links.parts(), question.names
     count, blocks = len(names), question.parts
     plain = links.plain()
-    means, spreads, gains, short = {}, {}, {}, {}
+    means, spreads, gains = {}, {}, {}
     for i, name in enumerate(names):
         half = student(blocks) * parts[:, i].std(ddof=1) / np.sqrt(blocks)
         value = float(question.middle[i] + parts[:, i].mean())
@@ -206,8 +190,6 @@ def _result(question, models, chain: Chain, links: Links, pilot: _Pilot, target)
         spread, wide = deviation_of_moments(parts[:, i], parts[:, count + i])
         spreads[name] = Statistic(spread, max(spread - wide, 0.0), spread + wide)
         gains[name] = _gain_of_chain(plain[:, :, i], parts[:, i], links)
-        if target is not None and not half <= target[i]:
-            short[name] = float(half), float(target[i])
     return MultiFidelity(
         problem=question.problem,
         means=means,
@@ -223,7 +205,6 @@ def _result(question, models, chain: Chain, links: Links, pilot: _Pilot, target)
         failed=int((~links.links[0].good).sum()),
         warned=int(np.sum(links.links[0].warned & links.links[0].good)),
         scramblings=blocks,
-        unreached=unreached(short),
     )
 
 

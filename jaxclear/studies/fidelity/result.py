@@ -36,8 +36,6 @@ class MultiFidelity(AbstractAnswer):
     failed: int = eqx.field(static=True)
     warned: int = eqx.field(static=True)
     scramblings: int = eqx.field(static=True)
-    # What was asked of the means and not reached.
-    unreached: str = eqx.field(static=True, default="")
 
     def sentence(self) -> str:
         """What ran, what it saved beside plain sampling of the same kind, and where nothing."""
@@ -48,7 +46,7 @@ class MultiFidelity(AbstractAnswer):
         ]
         text = f"{' and '.join(counted)} in {self.scramblings} independent scramblings: the work "
         text += f"of {self.work:.0f} runs of the problem, and {self.pilot:.0f} for the choice."
-        parts = [text, self._gained(), self._unused_models(), self._broken(), self.unreached]
+        parts = [text, self._gained(), self._unused_models(), self._broken()]
         if self.failed:
             parts.append(f"{self.failed} runs of the problem failed: numbers are of the others.")
         if self.warned:

@@ -12,14 +12,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxclear.ground.argument_errors import answering
-from jaxclear.ground.arguments import check_count, check_flags, check_name, expect
-from jaxclear.ground.wording import described
+from jaxclear.ground.arguments import check_count, check_flags, check_name
 from jaxclear.results.signal import usual_statistics
 from jaxclear.studies.identification.laws import DISSIPATION, FRICTION, Ensemble, ensemble
 from jaxclear.studies.identification.measurement import Measurement, checked_records
 from jaxclear.studies.identification.models import (
     Model,
-    check_only_signals,
     compared_records,
     models_of,
     only_one,
@@ -79,8 +77,6 @@ def identify(
     runs: int = 256,
     *,
     how: str = "statistics",
-    statistics: Mapping[str, Callable] | None = None,
-    laws: Sequence[type] | None = None,
     seed: int = 0,
     store: str | Path | None = None,
     progress_bar: bool = False,
@@ -100,18 +96,14 @@ def identify(
         runs: number of runs of the sample (with "signal" that tell what follows of responses), >=
             64; 256 (default) suffice for one loose joint, 512 for three.
         how: name of the method: "statistics" (default), a regression of each unknown on statistics
-            of the signals, with 95 % intervals from runs that it did not see; "signal", least
+            of the signals (`signal.usual_statistics`), with 95 % intervals from runs that it did
+            not see, each by one of several laws of dissipation and of friction; "signal", least
             squares by Levenberg and Marquardt from several starts, with Laplace's intervals in the
             unknowns' normal scores. Where a sensor's noise is 0 the residual takes its place; a
             known noise must explain the residual. Correlated residuals count as fewer samples.
-        statistics: functions of a `jaxclear.signal.Signal` that return arrays (signals, numbers),
-            by name; None (default) for `signal.usual_statistics`.
-        laws: classes of dissipation factors and friction laws, one of which acts in each run; None
-            (default) for LankaraniNikravesh, Flores, HuntCrossley, Ambrosio and CoulombTanh with
-            the joint's own; () for the joint's own only.
         seed: seed of the sample and the draws; 0 by default.
-        store: folder that keeps the sample's signals without noise, which serve other instruments,
-            statistics and records of the same sampling; None (default) for none.
+        store: folder that keeps the sample's signals without noise, which serve other instruments
+            and records of the same sampling; None (default) for none.
         progress_bar: whether to show the progress; False by default.
 
     Returns:
@@ -130,7 +122,8 @@ def identify(
         if model.response_names:
             check_sampled(model, runs, seed)
     if how == "signal":
-        check_only_signals(statistics=statistics, laws=laws, store=store)
+        if store is not None:
+            raise ValueError('how="signal" takes no store, which is for how="statistics".')
         return identify_by_signals(models, records, runs, seed)
     results: list[Identified] = []
     fitted: list[tuple[Any, Measurement, RegressedStatistics]] = []
@@ -139,30 +132,14 @@ def identify(
         check_window(model, record)
         same = [fit for one, other, fit in fitted if one is model and same_sensing(other, record)]
         if not same:
-            candidates = ensemble(model.mechanism, laws)
+            candidates = ensemble(model.mechanism)
             runs_of = watched(model, record, candidates)
             with open_store(store, WHAT, runs_of):
                 sample = sampled(model, record, runs_of, candidates, runs, seed, progress_bar)
-            same = [fit(model, record, sample, _statistics(statistics, record), seed)]
+            same = [fit(model, record, sample, seed)]
             fitted.append((model, record, same[0]))
         results.append(answered(same[0], record))
     return results[0] if len(results) == 1 else of_records(results[0].problem, results, seed)
-
-
-def _statistics(statistics: Any, record: Measurement) -> dict[str, Callable]:
-    """Statistics by name."""
-    if statistics is None:
-        return usual_statistics(record.turn is not None)
-    expect(statistics, Mapping, "statistics of identify", "a dictionary from names to functions")
-    for name, function in statistics.items():
-        if not callable(function):
-            raise ValueError(
-                f'statistic "{name}" is {described(function)}; it must be a function of a '
-                "jaxclear.signal.Signal that returns an array (signals, numbers)."
-            )
-    if not statistics:
-        raise ValueError("statistics of identify is empty; it must hold at least one.")
-    return dict(statistics)
 
 
 class RegressedStatistics(NamedTuple):
@@ -184,7 +161,6 @@ def fit(
     problem: Problem,
     record: Measurement,
     sample: Sample,
-    statistics: dict[str, Callable],
     seed: int = 0,
 ) -> RegressedStatistics:
     """The sample as a record's sensors see it, and the regression of unknowns on its statistics.
@@ -193,7 +169,6 @@ def fit(
         problem: with the unknowns as variables.
         record: whose sensors, rate and turns are used.
         sample: runs over the priors.
-        statistics: functions of a signal, by name.
         seed: of the sensors' noise.
     """
     if len(sample.values) < LEAST_RUNS:
@@ -201,7 +176,7 @@ def fit(
             f"{sample.failed} runs of the sample failed and {len(sample.values)} are left, fewer "
             f"than {LEAST_RUNS}: look at one by jaxclear.monte_carlo of the same problem."
         )
-    cut = cut_of(record, sample)
+    cut, statistics = cut_of(record, sample), usual_statistics(record.turn is not None)
     kinds = statistics_of(as_signals(sensed(sample, record, seed), record, cut), statistics)
     shares = prior_shares(problem, sample.values)
     # A machine's law is none of the sample's: those of one are left out together.

@@ -14,7 +14,6 @@ import jax
 import jax.numpy as jnp
 
 from jaxclear.ground.quantity import Scalar, quantity
-from jaxclear.ground.wording import described
 from jaxclear.laws.contact.base import AbstractDissipation
 from jaxclear.laws.contact.dissipation import (
     AbstractRestitutionFactor,
@@ -111,24 +110,12 @@ class Ensemble(NamedTuple):
     names: dict[str, tuple[str, ...]]
 
 
-def ensemble(mechanism: Mechanism, laws: Sequence[type] | None) -> Ensemble:
+def ensemble(mechanism: Mechanism, laws: Sequence[type] = (*DISSIPATIONS, *FRICTIONS)) -> Ensemble:
     """The mechanism with the choice of `laws`, classes of jaxclear.contact.dissipation and
-    jaxclear.friction; None: those that are usual; (): its own alone. A joint's own laws are always
-    among them; one whose law is of another kind (no coefficient of restitution, friction that
-    remembers or sticks) keeps it. Raises `ValueError` for what is no such law."""
-    all_kinds = (*DISSIPATIONS, *FRICTIONS) if laws is None else tuple(laws)
-    for kind in all_kinds:
-        is_law = isinstance(kind, type) and issubclass(
-            kind, (AbstractRestitutionFactor, AbstractSlipFriction)
-        )
-        if not is_law:
-            raise ValueError(
-                f"laws of identify hold {described(kind)}; each must be a class of "
-                "jaxclear.contact.dissipation, such as Flores, or a friction law that is a "
-                "function of the speed, such as jaxclear.friction.CoulombTanh."
-            )
-    losses = [kind for kind in all_kinds if issubclass(kind, AbstractRestitutionFactor)]
-    frictions = [kind for kind in all_kinds if issubclass(kind, AbstractSlipFriction)]
+    jaxclear.friction. A joint's own laws are always among them; one whose law is of another kind
+    (no coefficient of restitution, friction that remembers or sticks) keeps it."""
+    losses = [kind for kind in laws if issubclass(kind, AbstractRestitutionFactor)]
+    frictions = [kind for kind in laws if issubclass(kind, AbstractSlipFriction)]
     names: dict[str, tuple[str, ...]] = {}
     extended = mechanism
     for name in mechanism.topology.clearances:
@@ -165,7 +152,7 @@ def _mix_laws(part: Any, losses: list, frictions: list, names: dict[str, tuple[s
             return ChosenDissipation(part, others)
     if isinstance(part, AbstractSlipFriction):
         kinds = _other_laws(part, frictions)
-        if kinds and "mu_kinetic" in _number_names(type(part)):
+        if kinds and "mu_kinetic" in {field.name for field in dataclasses.fields(type(part))}:
             others = tuple(_friction_like(kind, part) for kind in kinds)
             names.setdefault(FRICTION, _law_names(part, kinds))
             return ChosenFriction(part, others)
@@ -181,10 +168,6 @@ def _other_laws(law: Any, kinds: list) -> list:
 
 def _law_names(law: Any, kinds: list) -> tuple[str, ...]:
     return tuple(kind.__name__ for kind in (type(law), *kinds))
-
-
-def _number_names(kind: type) -> set[str]:
-    return {field.name for field in dataclasses.fields(kind)}
 
 
 def _friction_like(kind: type, law: Any) -> Any:

@@ -95,6 +95,18 @@ def starts_of(count: int, variables: int, seed: int) -> np.ndarray:
     ]
 
 
+def finer_residuals(forward: Forward, normals: np.ndarray, measured: np.ndarray) -> np.ndarray:
+    """Residuals (n,) of a model at the first of some places (places, variables).
+
+    Args:
+        forward: signals of the unknowns, by finer steps.
+        normals: standard normal numbers.
+        measured: signals in one row.
+    """
+    arguments = forward, jnp.asarray(normals), jnp.asarray(measured)
+    return np.asarray(_residuals_and_slopes(*arguments)[0][0])
+
+
 def optima(
     forward: Forward,
     record: Record,

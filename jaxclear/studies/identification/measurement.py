@@ -184,7 +184,7 @@ def checked_records(data: Any) -> list[Measurement]:
 def _column(what: str, values: Any) -> np.ndarray:
     """Finite numbers in a row."""
     try:
-        array = np.asarray(values, float)
+        array = np.array(values, float)
     except (TypeError, ValueError):
         array = np.zeros((0, 0))
     if array.ndim != 1:

@@ -59,20 +59,10 @@ def only_one(models: Mapping[str, list[Problem]]) -> list[Any]:
     """The problems of the one model that statistics take. Raises `ValueError` for several."""
     if len(models) > 1:
         raise ValueError(
-            f'how="statistics" takes one problem and is given {listed(models)}: which laws may '
-            'act, laws says; several models by name are for how="signal".'
+            f'how="statistics" takes one problem and is given {listed(models)}; several models by '
+            'name are for how="signal".'
         )
     return next(iter(models.values()))
-
-
-def check_only_signals(**arguments: Any) -> None:
-    """Raises `ValueError` with a sentence for an argument that signals have no use for."""
-    for name, value in arguments.items():
-        if value is not None:
-            raise ValueError(
-                f'how="signal" takes no {name}, which are for how="statistics". For several laws '
-                'give several problems by name: {"Flores": ..., "Hunt-Crossley": ...}.'
-            )
 
 
 def same_sensing(one: Measurement, other: Measurement) -> bool:

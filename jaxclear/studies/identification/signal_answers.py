@@ -34,9 +34,8 @@ from jaxclear.studies.identification.signal_study import SignalFits, fit_signals
 from jaxclear.studies.problem import Problem
 from jaxclear.studies.run_experiment import RunExperiment
 
-# Searches that begin at different places of the priors, and windows of a record of runs in time,
-# each twice as long as the one before.
-STARTS, WINDOWS = 8, 4
+# Windows of a record of runs in time, each twice as long as the one before.
+WINDOWS = 4
 # Draws that follow what the records leave.
 DRAWS = 1024
 # Scores whose posterior correlation [1] is beyond this are told better together.
@@ -67,7 +66,7 @@ def identify_by_signals(
         for problem in problems
     )
     windows = WINDOWS if in_time else 1
-    study = fit_signals(pairs, starts=STARTS, windows=windows, draws=draws, seed=seed)
+    study = fit_signals(pairs, windows=windows, draws=draws, seed=seed)
     return of_signals(models, study, seed)
 
 
@@ -101,6 +100,7 @@ def of_signals(models: Mapping[str, Sequence[Problem]], study: SignalFits, seed:
     remarks += _rest(study, first, models)
     remarks += _together(unknowns, study.fits[first][0]) if records < FEWEST else _drift(study)
     units = problem.units()
+    remarks += _by_steps(study.fits[first])
     answers = tuple(_row(name, units[name], interval) for name, interval in study.answers.items())
     sentences = tuple(remarks)
     return Identified(problem, tuple(unknowns), drawn, runs, 0, how, sentences, answers=answers)
@@ -201,6 +201,19 @@ def _rest(study: SignalFits, first: str, problems: Any) -> list[str]:
             unknown = _unknown(problems[model][0], name, interval)
             sentences.append(f'Of "{model}" alone: {unknown.sentence()}')
     return sentences
+
+
+def _by_steps(fits: Sequence[SignalFit]) -> list[str]:
+    """Unknowns that the steps of runs move by more than what the record leaves open."""
+    most: dict[str, float] = {}
+    for name, moves in [pair for fit in fits for pair in (fit.by_steps or {}).items()]:
+        most[name] = max(most.get(name, 0.0), abs(moves))
+    return [
+        f'By the steps of the runs "{name}" is off by about {moves:.2g} of its standard '
+        "deviations, which its interval does not hold: take shorter steps."
+        for name, moves in most.items()
+        if moves > 1
+    ]
 
 
 def _together(unknowns: Sequence[Unknown], fit: SignalFit) -> list[str]:

@@ -20,8 +20,15 @@ import numpy as np
 import scipy
 from jax.scipy.special import ndtr
 
+from jaxclear.errors.estimates import HALF
+from jaxclear.ground.quantity import with_fields
 from jaxclear.studies.identification.forward import Forward, Record, check_signals
-from jaxclear.studies.identification.least_squares import Optimum, optima, starts_of
+from jaxclear.studies.identification.least_squares import (
+    Optimum,
+    finer_residuals,
+    optima,
+    starts_of,
+)
 from jaxclear.studies.infinite_responses import successes
 from jaxclear.studies.store.batch import evaluate_all
 
@@ -32,8 +39,10 @@ REFUSED = 1e-3
 # Of a signal whose noise is not known, shares of its deviation: no instrument leaves less than the
 # first, and beyond the last its mean would explain it better.
 LEAST_MISFIT, MOST_MISFIT = 1e-6, 1.1
-# Shares below and above which half of the rest of 95 % lies.
-ENDS = (0.025, 0.975)
+# What an interval holds, and shares below and above which half of the rest lies.
+CONTENT, ENDS = 0.95, (0.025, 0.975)
+# Searches, the nominal values among their starts.
+STARTS = 8
 # Optima that intervals hold, and draws that tell these.
 MOST_CENTRES, DRAWS = 3, 4096
 # An end of the prior whose density is above this share of the largest is not excluded: twice the
@@ -85,7 +94,8 @@ class SignalFit(NamedTuple):
     """What one record tells by one model. `best` (variables,): the nearest values; `misfits` by
     signal; `values` (draws, variables) follow the posterior; `unknowns` and `answers`, their
     intervals by name; `together`: correlations [1] of the unknowns' normal scores, by pair; `runs`
-    that it took; `refusal`: why there are no intervals, "" where there are."""
+    that it took; `refusal`: why there are no intervals, "" where there are; `by_steps`: by how many
+    of its standard deviations each unknown is off by the steps of the runs, by name."""
 
     best: np.ndarray
     misfits: dict[str, Misfit]
@@ -95,13 +105,13 @@ class SignalFit(NamedTuple):
     together: dict[tuple[str, str], float]
     runs: int
     refusal: str = ""
+    by_steps: dict[str, float] | None = None
 
 
 def fit_signal(
     forward: Forward,
     record: Record,
     *,
-    starts: int = 8,
     windows: int = 1,
     draws: int = 512,
     seed: int = 0,
@@ -114,7 +124,6 @@ def fit_signal(
     Args:
         forward: signals of the unknowns, with derivatives.
         record: to be fitted.
-        starts: number of searches, the nominal values among their starts.
         windows: how often each search's window doubles until it holds the record.
         draws: runs that sample what follows for the responses.
         seed: of starts and draws.
@@ -123,7 +132,7 @@ def fit_signal(
         ValueError: signals and problem do not fit together.
     """
     check_signals(forward, record)
-    begin = starts_of(starts, len(forward.problem.names), seed)
+    begin = starts_of(STARTS, len(forward.problem.names), seed)
     scale = _first_scale(record)
     candidates, runs = optima(forward, record, begin, scale, windows)
     if not candidates:
@@ -139,7 +148,25 @@ def fit_signal(
     refusal = _why_refused(best, misfits)
     if refusal:
         return _make_refused_fit(forward, record, best, runs, refusal)
-    return _make_fit(forward, record, candidates, misfits, runs, draws, seed)
+    fit = _make_fit(forward, record, candidates, misfits, runs, draws, seed)
+    moves = _moves_by_steps(forward, record, best, _weigh_samples(record, misfits))
+    return fit._replace(by_steps=dict(zip(forward.problem.names, moves.tolist(), strict=False)))
+
+
+def _moves_by_steps(
+    forward: Forward, record: Record, best: Optimum, scale: np.ndarray
+) -> np.ndarray:
+    """By how many of their standard deviations unknowns (variables,) follow what the steps of runs
+    leave in the signals: one step of Gauss and Newton; none where steps cannot be refined."""
+    finer = forward.problem.refine()
+    if finer is None or finer.shares.shape != forward.problem.shares.shape:
+        return np.zeros(0)
+    # As many rows as before run the same program.
+    normals = np.resize(best.normal, (STARTS, len(best.normal)))
+    seen = finer_residuals(with_fields(forward, problem=finer), normals, record.row)
+    error = (best.residual - seen) / (1 - HALF)
+    matrix = np.linalg.inv(best.information(scale))
+    return matrix @ (best.slopes.T @ (error / scale**2)) / np.sqrt(np.diag(matrix))
 
 
 def correlation_time(residual: np.ndarray) -> float:
@@ -303,11 +330,11 @@ def _make_fit(
     return SignalFit(best, misfits, values, unknowns, answers, together, runs)
 
 
-def shortest_interval(shares: np.ndarray, content: float = 0.95) -> tuple[float, float]:
-    """The shortest interval of the prior's shares (draws,) [1] that holds `content` [1] of them:
+def shortest_interval(shares: np.ndarray) -> tuple[float, float]:
+    """The shortest interval of the prior's shares (draws,) [1] that holds 95 % of them:
     where little speaks against an end of the prior, it reaches that end."""
     ordered = np.sort(shares)
-    inside = int(np.ceil(content * len(ordered)))
+    inside = int(np.ceil(CONTENT * len(ordered)))
     start = int(np.argmin(ordered[inside - 1 :] - ordered[: len(ordered) - inside + 1]))
     low, high = float(ordered[start]), float(ordered[start + inside - 1])
     step = (high - low) / PARTS

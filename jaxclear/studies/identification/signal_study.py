@@ -44,7 +44,6 @@ class SignalFits(NamedTuple):
 def fit_signals(
     models: Mapping[str, Sequence[tuple[Forward, Record]]],
     *,
-    starts: int = 8,
     windows: int = 1,
     draws: int = 512,
     seed: int = 0,
@@ -53,9 +52,9 @@ def fit_signals(
 
     Args:
         models: for each name a (forward model, record) for each record.
-        starts, windows, draws, seed: as of `fit_signal`.
+        windows, draws, seed: as of `fit_signal`.
     """
-    how = {"starts": starts, "windows": windows, "draws": draws, "seed": seed}
+    how = {"windows": windows, "draws": draws, "seed": seed}
     fits = {
         name: tuple(fit_signal(model, record, **how) for model, record in every)
         for name, every in models.items()

@@ -6,7 +6,6 @@ that settle otherwise spoil a difference; noise of chaotic motion is added, and 
 off, four times as large for a derivative: their error goes with the fourth power of the rate.
 """
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxclear.ground.argument_errors import answering
-from jaxclear.ground.arguments import check_flags, check_name, check_number, expect
+from jaxclear.ground.arguments import check_flags, check_name, expect
 from jaxclear.ground.printing import with_text_repr
 from jaxclear.ground.wording import unit_of_rate
 from jaxclear.simulation import progress
@@ -53,24 +52,20 @@ def wear_life_derivatives(
     quantity: str = "depth",
     limit: float | None = None,
     *,
-    variables: Sequence[str] | None = None,
-    width: float | None = None,
     max_cycles: int = 12,
     store: str | Path | None = None,
     progress_bar: bool = False,
 ) -> dict[str, LifeDerivative]:
     """Derivatives of a quantity at the end of a life, or of the life itself, by the variables.
 
-    It takes four more lives for each variable.
+    It takes four more lives for each variable, which is changed by its standard deviation and half
+    of it.
 
     Args:
         life: a `WearLife` of a problem.
         quantity: name of the quantity; "depth" by default.
         limit: value of the quantity, in its unit, for derivatives of the cycles until it is
             reached; None (default) for those at the end.
-        variables: names of variables; all by default.
-        width: change of a variable, in its unit; by default a standard deviation of its
-            distribution.
         max_cycles: largest number of cycles over which a rate is averaged; 12 by default.
         store: folder that keeps every cycle, that of the life or another; None (default) for none.
         progress_bar: whether to show the progress; False by default.
@@ -85,22 +80,16 @@ def wear_life_derivatives(
     check_name("quantity", quantity, life.quantities, " in this life")
     check_flags("wear_life_derivatives", progress_bar=progress_bar)
     problem = life.problem
-    names = problem.names if variables is None else tuple(variables)
-    for name in names:
-        check_name("variable", name, problem.names, " in this problem")
-    if not names:
+    if not problem.names:
         raise ValueError("the problem of this life has no variables; give it some.")
-    if width is not None:
-        check_number("width of wear_life_derivatives", width, above=0)
     if limit is not None and not np.isfinite(life.until(quantity, limit).cycles):
         raise ValueError(f"{life.until(quantity, limit).sentence} Ask for a longer life.")
     derivatives = {}
     with open_store(store, "a wear life", problem), progress.bar(progress_bar, "lives"):
-        for name in names:
-            deviation = problem.marginals[name].deviation()
-            step = float(deviation) if width is None else float(width)
-            derivatives[name] = _derivative_by(life, quantity, limit, name, step, max_cycles)
-            progress.advance(1 / len(names))
+        for name in problem.names:
+            width = float(problem.marginals[name].deviation())
+            derivatives[name] = _derivative_by(life, quantity, limit, name, width, max_cycles)
+            progress.advance(1 / len(problem.names))
     return derivatives
 
 

@@ -8,7 +8,6 @@ own error: with `sure` the answer is the end of its 95 % interval that is on the
 are the rest beyond it, and what hangs on the saving times of a cycle (`WearLife.by_saves`).
 """
 
-from abc import abstractmethod
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -56,64 +55,7 @@ DRAWN_FROM = {DEPTH: "worn depth", VOLUME: "wear"}
 BEYOND, TRIES, LONGEST = 1.25, 8, 100.0
 
 
-class AbstractLifeResponse(AbstractQuantified):
-    """One number of a life, of what is called `name` among all that it tells of ("depth", "volume",
-    those of one surface, or a response)."""
-
-    name: eqx.AbstractVar[str]
-
-    @abstractmethod
-    def __call__(self, life: WearLife) -> float:
-        """The number; `nan` where the life does not tell it."""
-
-    @abstractmethod
-    def unit_among(self, units: dict[str, str]) -> str:
-        """Its unit.
-
-        Args:
-            units: mapping from the quantities of a life to their units.
-        """
-
-    @abstractmethod
-    def decides_length(self) -> bool:
-        """Whether it says by itself how long a life is to be."""
-
-    def ahead(self, life: WearLife) -> float:
-        """How many cycles more it takes, as the life goes on at its end.
-
-        Args:
-            life: the result as far as it has been simulated, a `WearLife`.
-
-        Returns:
-            0 where the life contains the number already, infinite where it never will.
-        """
-        return 0.0
-
-    def depends_on(self, problem: Problem) -> frozenset[str]:
-        """Parts of a cycle of the problem whose warnings concern it. A response of cycles hangs on
-        how deep these wear, too.
-
-        Args:
-            problem: the problem whose duration is one cycle.
-        """
-        of_cycle = problem.description.responses.get(self.name)
-        part = DRAWN_FROM[DEPTH if of_cycle else self.name.partition(" ")[0]]
-        reached = {source for source in PARTS if part in REACHES.get(source, (source,))}
-        return frozenset(reached) | (of_cycle.depends_on if of_cycle else frozenset())
-
-    def check(self, units: dict[str, str]) -> None:
-        """Refuse a quantity that a life does not have.
-
-        Args:
-            units: mapping from the quantities of a life to their units.
-
-        Raises:
-            ValueError: for a quantity that is not among them.
-        """
-        check_name("quantity", self.name, units, " in this life")
-
-
-class LifeUntil(AbstractLifeResponse):
+class LifeUntil(AbstractQuantified):
     """Cycles until a quantity first reaches a limit, as `WearLife.until`; infinite where it does
     not in as long a life as is followed (`LifeProblem`).
 
@@ -132,7 +74,8 @@ class LifeUntil(AbstractLifeResponse):
         expect(self.name, str, "quantity of LifeUntil", 'a text, such as "depth"')
         check_flags("LifeUntil", sure=self.sure)
 
-    def __call__(self, life):
+    def __call__(self, life: WearLife) -> float:
+        """The cycles; `nan` where the life does not tell them."""
         length = life.until(self.name, float(self.limit))
         if not np.isfinite(length.cycles):
             # Of a life that ended by a failed cycle nobody knows.
@@ -151,16 +94,30 @@ class LifeUntil(AbstractLifeResponse):
         nearer = life.until(self.name, limit - np.copysign(off, limit - now)).cycles
         return nearer if np.isfinite(nearer) else 0.0
 
-    def unit_among(self, units):
-        return "cycles"
+    def ahead(self, life: WearLife) -> float:
+        """How many cycles more it takes, as the life goes on at its end.
 
-    def decides_length(self):
-        return True
+        Args:
+            life: the result as far as it has been simulated, a `WearLife`.
 
-    def ahead(self, life):
+        Returns:
+            0 where the life contains the number already, infinite where it never will.
+        """
         if np.isfinite(life.until(self.name, float(self.limit)).cycles):
             return 0.0
         return life.cycles_ahead(self.name, float(self.limit))
+
+    def depends_on(self, problem: Problem) -> frozenset[str]:
+        """Parts of a cycle of the problem whose warnings concern it. A response of cycles hangs on
+        how deep these wear, too.
+
+        Args:
+            problem: the problem whose duration is one cycle.
+        """
+        of_cycle = problem.description.responses.get(self.name)
+        part = DRAWN_FROM[DEPTH if of_cycle else self.name.partition(" ")[0]]
+        reached = {source for source in PARTS if part in REACHES.get(source, (source,))}
+        return frozenset(reached) | (of_cycle.depends_on if of_cycle else frozenset())
 
 
 def _error_at_end(life: WearLife, name: str, value: float) -> float:
@@ -193,9 +150,10 @@ class LifeExperiment(AbstractExperiment):
         self.cycles = None if cycles is None else float(cycles)
         self.accuracy, self.max_cycles = float(accuracy), max_cycles
         self.response_names = tuple(response)
-        for function in self._life_responses().values():
-            function.check(self._quantity_units())
-        others = [name for name in self.response_names if not self._decides(name)]
+        quantities = self._quantities()
+        for function in self._limits().values():
+            check_name("quantity", function.name, quantities, " in this life")
+        others = [name for name in self.response_names if name not in self._limits()]
         if self.cycles is None and others:
             raise ValueError(
                 f'response "{others[0]}" of a LifeProblem does not decide how long a life is; it '
@@ -209,7 +167,7 @@ class LifeExperiment(AbstractExperiment):
     def life(self, values: Any) -> WearLife:
         """The life of one set of values. Raises `SimulationError` where it has no first cycle, and
         `ValueError` for values that make no machine."""
-        deciding = [f for f in self._life_responses().values() if f.decides_length()]
+        deciding = list(self._limits().values())
         if self.cycles is not None and len(deciding) < len(self.response):
             return self._simulate_life(values, self.cycles)
         longest = np.inf if self.cycles is None else self.cycles
@@ -251,9 +209,10 @@ class LifeExperiment(AbstractExperiment):
             return self._failed_sample(self._why_impossible(values))
         answers = {name: np.asarray(answer(name, f, life)) for name, f in self.response.items()}
         # One with a length asked for is of no use before its end to what is asked of that.
-        is_complete = not life.ended or all(self._decides(name) for name in self.response_names)
+        limits = self._limits()
+        is_complete = not life.ended or len(limits) == len(self.response)
         finite = [
-            not np.isnan(value) if self._decides(name) else np.isfinite(value)
+            not np.isnan(value) if name in limits else np.isfinite(value)
             for name, value in answers.items()
         ]
         outcome = Outcome.REACHED if is_complete and all(finite) else Outcome.NOT_FINITE
@@ -293,12 +252,10 @@ class LifeExperiment(AbstractExperiment):
         )
 
     def _response_info(self, name: str) -> ResponseInfo:
-        response = self._life_responses().get(name)
+        response = self._limits().get(name)
         if response is None:
             return ResponseInfo()
-        unit, parts = response.unit_among(self._quantity_units()), response.depends_on(self.problem)
-        if not response.decides_length():
-            return ResponseInfo(unit, parts)
+        unit, parts = "cycles", response.depends_on(self.problem)
         if self.cycles is None:
             far = f"its limit is forecast beyond {LONGEST:g} times what the first cycles say"
             return ResponseInfo(unit, parts, infinite=far)
@@ -316,24 +273,17 @@ class LifeExperiment(AbstractExperiment):
         settings = {f"{name} of lives": getattr(self, what) for name, what in keys.items()}
         return self.problem.experiment.parts() | settings
 
-    def _life_responses(self) -> dict[str, AbstractLifeResponse]:
-        """Responses that are of this package's own kind."""
-        items = self.response.items()
-        return {name: f for name, f in items if isinstance(f, AbstractLifeResponse)}
+    def _limits(self) -> dict[str, LifeUntil]:
+        """Responses that say by themselves how long a life is."""
+        return {name: f for name, f in self.response.items() if isinstance(f, LifeUntil)}
 
-    def _decides(self, response: str) -> bool:
-        """Whether a response says by itself how long a life is."""
-        declared = self._life_responses().get(response)
-        return declared is not None and declared.decides_length()
-
-    def _quantity_units(self) -> dict[str, str]:
-        """Unit of all that a life tells of."""
-        units = {DEPTH: "m", VOLUME: "m^3"} | self.problem.units()
+    def _quantities(self) -> list[str]:
+        """All that a life tells of."""
+        quantities = [DEPTH, VOLUME, *self.problem.response_names]
         for joint, surfaces in wearing_in(self.problem.mechanism).items():
             for surface in surfaces.maps():
-                units[f"{DEPTH} {joint} {surface}"] = "m"
-                units[f"{VOLUME} {joint} {surface}"] = "m^3"
-        return units
+                quantities += [f"{DEPTH} {joint} {surface}", f"{VOLUME} {joint} {surface}"]
+        return quantities
 
     def _why_impossible(self, values: Any) -> Outcome:
         """Why a set of values makes no machine that lives."""

@@ -10,14 +10,11 @@ import equinox as eqx
 import jax
 import numpy as np
 from jax.flatten_util import ravel_pytree
-from jaxtyping import Array
 
-from jaxclear.components.wear_map import AbstractWearMap
 from jaxclear.ground.arguments import check_name, check_number
 from jaxclear.ground.printing import LEAST_ERROR_SHARE, with_text_repr
 from jaxclear.integrators.checks import Checks
 from jaxclear.multibody.system import wearing_in
-from jaxclear.native.compiled import compiled_quickly
 from jaxclear.results.response import depends_on
 from jaxclear.results.state_history import State
 from jaxclear.simulation.wear import Worn
@@ -45,12 +42,8 @@ def _percent(error: float) -> str:
     return f"{100 * error:.2g} %" if not error < least else f"better than {100 * least:.4f} %"
 
 
-def _deepest_place(wear_map: AbstractWearMap, depth: Array) -> Array:
-    """Depth of the deepest place of a map."""
-    return wear_map.deepest(depth)
-
-
-_read_deepest = compiled_quickly(_deepest_place, {})
+# The depth of the deepest place of a surface, of its cells in a row; one program for all lives.
+_deepest = jax.jit(lambda wear_map, row: wear_map.deepest(row.reshape(wear_map.cells)))
 
 
 class Stage(NamedTuple):
@@ -267,15 +260,11 @@ class WearLife(AbstractAnswer):
         row, places = self._row_at(), self.surfaces
         indices = [i for i, place in enumerate(places) if surface in ("", " ".join(place))]
         if kind == DEPTH:
-            readers = [(self.cells.surfaces[i], self._deepest(*places[i])) for i in indices]
-            return lambda at: max(float(read(row(at)[part])) for part, read in readers)
+            wearing, parts = wearing_in(self.problem.mechanism), self.cells.surfaces
+            maps = {i: wearing[places[i][0]].maps()[places[i][1]][0] for i in indices}
+            return lambda at: max(float(_deepest(maps[i], row(at)[parts[i]])) for i in indices)
         areas = self.cells.full_areas[indices]
         return lambda at: float(np.dot(areas, self.cells.means(row(at))[indices]))
-
-    def _deepest(self, joint: str, surface: str) -> Callable[[np.ndarray], Any]:
-        """The depth of the deepest place of a surface, of the cells in a row."""
-        wear_map = wearing_in(self.problem.mechanism)[joint].maps()[surface][0]
-        return lambda row: _read_deepest(wear_map, row.reshape(wear_map.cells))
 
     def _row_at(self) -> Callable[[float], np.ndarray]:
         """Depths of all cells and mean depths of all surfaces, in a row, over cycles: volumes by

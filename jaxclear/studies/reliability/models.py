@@ -13,6 +13,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
 from jaxclear.ground.printing import with_text_repr
 from jaxclear.studies.experiment import SampleResult
@@ -24,7 +25,6 @@ from jaxclear.studies.sampling import all_values, value_slopes
 from jaxclear.studies.statistics.scrambled import student
 from jaxclear.studies.store.batch import chunk_size, evaluate_all
 from jaxclear.studies.surface.response_surface import ResponseSurface
-from jaxclear.studies.surface.surface import run
 
 # Runs that are computed together, so that all rounds share one compiled program.
 ROUND = 256
@@ -73,9 +73,11 @@ class RunModel(AbstractModel):
         return self.of(self.responses(normal)[1])
 
     def slopes(self, normal):
-        values = all_values(self.problem, normal)
-        result, gradients = run(self.problem, values, slopes=True, chunk=len(normal))
-        assert gradients is not None
+        values = jnp.asarray(all_values(self.problem, normal))
+        runs: Any = evaluate_all(
+            self.problem, values, function=_with_slopes, chunk=len(normal), label="surface"
+        )
+        gradients, result = runs
         self.runs += len(normal) * (1 + normal.shape[1])
         through = value_slopes(self.problem, normal)
         steep = [
@@ -120,6 +122,20 @@ class SurfaceModel(AbstractModel):
     def slopes(self, normal):
         both = _surface_slopes(self.surface.bare(), self.limit.limits(), jnp.asarray(normal))
         return np.asarray(both[0]), np.asarray(both[1])
+
+
+@eqx.filter_jit
+def _with_slopes(problem: Problem, values: Float[Array, "samples variables"]):
+    """Slopes of the responses of a chunk of samples, (samples, variables), and the outcomes."""
+
+    def one(row):
+        def responses(at):
+            result = problem.evaluate(at)
+            return result.responses, result
+
+        return jax.jacfwd(responses, has_aux=True)(row)
+
+    return jax.vmap(one)(values)
 
 
 def _sign_of_margin(limit: Any) -> float:

@@ -32,7 +32,6 @@ from jaxclear.studies.reliability.models import (
 from jaxclear.studies.reliability.result import Reliability
 from jaxclear.studies.reliability.subset import PILOT, Reach, repetitions, subset
 from jaxclear.studies.scrambling import scrambled_normal
-from jaxclear.studies.store.digest import difference
 from jaxclear.studies.store.store import stored
 from jaxclear.studies.surface.fitting import fitted
 from jaxclear.studies.surface.polynomials import powers
@@ -108,7 +107,6 @@ def reliability(
     limit: AbstractLimitState,
     *,
     methods: Sequence[str] | None = None,
-    surface: ResponseSurface | None = None,
     variation: float = 0.1,
     most_runs: int = 20_000,
     seed: int = 0,
@@ -117,15 +115,15 @@ def reliability(
 ) -> Reliability:
     """Probability that a limit is exceeded, with its error and the number of runs.
 
+    Where runs are expensive or have no exact slopes, design points are searched on a
+    `ResponseSurface`, which reduces the variance of importance sampling too.
+
     Args:
         problem: the problem.
         limit: limit state, one of `jaxclear.limit_state`: `Above("response", threshold)`, `Below`,
             or several in `Series` or `Parallel`.
         methods: names of methods, some of "form", "sorm", "importance" and "subset"; None (default)
             for the first three, and the last where importance sampling does not reach `variation`.
-        surface: a `ResponseSurface` on which design points are searched, and which reduces the
-            variance of importance sampling; None (default) fits one where runs are expensive or
-            have no exact slopes.
         variation: required coefficient of variation of the probability [1], > 0; 0.1 by default.
         most_runs: largest number of runs of each sampling; 20 000 by default. Subset simulation
             divides them among eight repetitions, after a search of at most some 2360 runs; where
@@ -141,14 +139,14 @@ def reliability(
         ValueError: if an argument is wrong.
     """
     expect(problem, Problem, "what reliability is asked of", "a problem of jaxclear")
-    names = _check_request(problem, limit, methods, surface)
+    names = _check_request(problem, limit, methods)
     check_number("variation of reliability", variation, above=0, at_most=1)
     check_count("most_runs of reliability", most_runs)
     check_count("seed of reliability", seed, at_least=0)
     check_flags("reliability", progress_bar=progress_bar)
     model = RunModel(problem, limit, progress_bar)
     reach = Reach(model, seed)
-    points, fitted, notes = _find_design_points(model, surface, names, seed, reach)
+    points, fitted, notes = _find_design_points(model, names, seed, reach)
     estimates: dict[str, Probability] = {}
     none = _none(fitted, limit, notes)
     if "form" in names:
@@ -234,7 +232,7 @@ def _add_other_regions(
 
 
 def _find_design_points(
-    model: RunModel, surface: ResponseSurface | None, names: Sequence[str], seed: int, reach: Reach
+    model: RunModel, names: Sequence[str], seed: int, reach: Reach
 ) -> tuple[list[DesignPoint], ResponseSurface | None, list[str]]:
     """Design points, the surface on which they were found (None: on runs), and sentences."""
     if set(names) <= {"subset"}:
@@ -242,21 +240,14 @@ def _find_design_points(
     cuts, variables = model.limit.cut_sets(), len(model.problem.names)
     hopeless = lambda: bool(reach.beyond())
     exact = not any(model.problem.description.derivative)
-    if surface is None and exact and model.problem.cost().is_negligible:
+    if exact and model.problem.cost().is_negligible:
         return design_points(model, cuts, variables, seed, hopeless), None, []
-    if surface is None:
-        result, points, right = surface_where_it_fails(model, seed)
-        if isinstance(result, str):
-            return [], None, [result]
-        if exact and not points:
-            points = design_points(model, cuts, variables, seed, hopeless)
-            return points, None, [result.sentence()]
-    else:
-        trusted = all(surface.trusted(part.response) for part in model.limit.limits())
-        searched = SurfaceModel(surface, model.limit)
-        points = design_points(searched, cuts, variables, seed) if trusted else []
-        result, right = surface, trusted
+    result, points, right = surface_where_it_fails(model, seed)
+    if isinstance(result, str):
+        return [], None, [result]
     notes = [result.sentence()]
+    if exact and not points:
+        return design_points(model, cuts, variables, seed, hopeless), None, notes
     if points and not right:
         notes.append("Runs at its design points do not confirm the surface.")
     return points, result, notes
@@ -294,7 +285,7 @@ def _sorm_answers(
     }
 
 
-def _check_request(problem: Problem, limit: Any, methods: Any, surface: Any) -> tuple[str, ...]:
+def _check_request(problem: Problem, limit: Any, methods: Any) -> tuple[str, ...]:
     """The methods wanted. Raises `ValueError` for what cannot be asked."""
     if not problem.names:
         raise ValueError(
@@ -303,14 +294,6 @@ def _check_request(problem: Problem, limit: Any, methods: Any, surface: Any) -> 
     check_limit(limit, problem.response_names, "reliability")
     for part in limit.limits():
         check_within_horizon(problem, part.response, part.threshold)
-    if surface is not None:
-        expect(surface, ResponseSurface, "surface of reliability", "what jaxclear.surface gives")
-        differs = difference(surface.problem, problem)
-        if differs:
-            raise ValueError(
-                f"the surface is of another problem ({differs}); give one of this problem, "
-                "jaxclear.surface(problem)."
-            )
     if methods is None:
         return USUAL
     if isinstance(methods, str):

@@ -1,13 +1,12 @@
 """A study that is kept on disk chunk by chunk, and goes on where it was interrupted:
-`jaxclear.campaign`, of Monte Carlo or of another study, and `jaxclear.open_campaign` to read it.
+`jaxclear.campaign`, and `jaxclear.open_campaign` to read it.
 
 A folder is begun or found, made larger where more samples are asked for, what it lacks is computed,
 and its first samples get replicas.
 """
 
 import dataclasses
-import inspect
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -19,7 +18,6 @@ from tqdm import tqdm
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_count, check_flags, expect
 from jaxclear.ground.warning import warn
-from jaxclear.ground.wording import described, listed, meant
 from jaxclear.integrators.checks import Checks
 from jaxclear.studies.problem import Problem
 from jaxclear.studies.replicas import MOST_REPLICAS
@@ -39,10 +37,6 @@ OTHERWISE = (
     "is no compiled program, and a campaign keeps samples of one; ask jaxclear.monte_carlo(..., "
     "store=folder) for lives as responses, or jaxclear.wear_life_sample(..., store=folder)."
 )
-# How studies call the number of their samples.
-COUNTS = ("samples", "sample")
-# What a campaign takes beside the arguments that it names.
-SAMPLED = ("sampling", "scramblings", "accuracy", "chunk")
 # Samples that are read together, about.
 READ = 1 << 16
 # Claimed by the process that adds replicas.
@@ -52,16 +46,18 @@ VERIFYING = "replicas"
 @answering
 def campaign(
     problem: Problem,
-    samples: int | None = None,
+    samples: int = 1024,
     *,
     folder: str | Path,
-    study: Callable | None = None,
-    seed: int | None = None,
+    seed: int = 0,
+    sampling: str = "sobol",
+    scramblings: int | None = None,
+    accuracy: float | Mapping[str, float] | None = None,
+    chunk: int | None = None,
     client: Any = None,
     verify: bool = True,
     progress_bar: bool = False,
-    **settings: Any,
-) -> Any:
+) -> Campaign:
     """A Monte Carlo study of any size, stored in a folder chunk by chunk.
 
     The folder holds values, responses, outcomes, warnings, seed, versions and the problem, in plain
@@ -71,53 +67,56 @@ def campaign(
 
     Args:
         problem: the problem.
-        samples: number of samples; None (default) for 1024, or those of `study`.
+        samples: number of samples; 1024 by default.
         folder: path of the folder. One of another problem or other samples is refused with the
             difference.
-        study: another study function to store, such as `jaxclear.sensitivity`, with its arguments
-            in `settings`; None (default) for a Monte Carlo study.
-        seed: seed of the random numbers; None (default) for 0, or that of `study`.
+        seed: seed of the random numbers; 0 by default.
+        sampling: name of the method, "sobol" (default) or "random", as of `monte_carlo`.
+        scramblings: number of independent subsets of the sample, as of `monte_carlo`; None
+            (default) for its.
+        accuracy: required half width of the 95 % interval of each mean, a factor [1] or a
+            dictionary, as of `monte_carlo`; None (default) for none.
+        chunk: number of samples in a file; None (default) for what fits the memory.
         client: a `dask.distributed.Client` whose workers compute the chunks; None (default) for
             this process.
         verify: whether to repeat the first 16 samples with finer steps, as of `monte_carlo`; True
             by default.
         progress_bar: whether to show rate, remaining time and failures; False by default.
-        settings: further keyword arguments: `sampling`, `scramblings` and `accuracy` as of
-            `monte_carlo`, and `chunk`, the number of samples in a file; or those of `study`.
 
     Returns:
-        The `Campaign`, or the result of `study`.
+        The `Campaign`.
 
     Raises:
         ValueError: if an argument is wrong.
     """
     check_flags("campaign", verify=verify, progress_bar=progress_bar)
-    if study is not None:
-        arguments = {"samples": samples, "seed": seed, "client": client}
-        arguments |= {"verify": None if verify else False}
-        arguments |= {"chunk": settings.pop("chunk", None), "progress_bar": progress_bar or None}
-        options = {name: value for name, value in arguments.items() if value is not None}
-        return _run_study(study, problem, folder, options, settings)
-    samples, seed = 1024 if samples is None else samples, 0 if seed is None else seed
-    plan = _make_plan(problem, samples, seed, settings)
-    accuracy = parse_accuracy(settings.get("accuracy"), problem.response_names, "campaign")
-    checked = ("seed", "sampling", "scramblings")[: 2 + ("scramblings" in settings)]
+    check_sampled(problem, samples, seed, sampling)
+    if not problem.cost().compiled:
+        raise ValueError(f"problem of campaign ({type(problem.experiment).__name__}) {OTHERWISE}")
+    if chunk is not None:
+        check_count("chunk of campaign", chunk)
+    goals = parse_accuracy(accuracy, problem.response_names, "campaign")
+    first = samples if goals is None else min(samples, FIRST_SAMPLES)
+    parts = checked_scramblings("campaign", first, scramblings)
+    first = first if goals is None else first_of(first, parts)
+    plan = planned(problem, (first, seed, sampling, parts), chunk, samples)
+    checked = ("seed", "sampling", "scramblings")[: 2 + (scramblings is not None)]
     check_folder(folder)
     try:
         with _make_workers(problem, client) as work:
             stored = _open_samples(problem, plan, checked, samples, folder)
             # The plan first: whatever ends the process from here on, the folder knows what was
             # asked of it.
-            if accuracy is None:
+            if goals is None:
                 stored = _enlarge_plan(stored, samples, samples, problem)
             if len(stored.finished()):
                 stored.warn_of_versions()
             run, short = _Run(work, stored, samples, progress_bar), ""
-            if accuracy is None:
+            if goals is None:
                 run.grow(samples)
             else:
                 first = max(plan.samples, stored.plan.samples)
-                short = until_accurate(problem, first, samples, accuracy, run.grown)
+                short = until_accurate(problem, first, samples, goals, run.grown)
             if verify:
                 _add_replicas(run.stored, work)
             run.stored.conclude()
@@ -148,28 +147,6 @@ def open_campaign(folder: str | Path, problem: Problem | None = None) -> Campaig
     return Campaign(stored, problem)
 
 
-def _run_study(
-    study: Any, problem: Any, folder: Any, options: dict[str, Any], settings: dict[str, Any]
-) -> Any:
-    """What a study answers that takes `store`. `options`: arguments of the campaign that the study
-    may have. Raises `ValueError` with a sentence for a study that is not kept, or an option that it
-    has not."""
-    takes = inspect.signature(study).parameters if callable(study) else {}
-    if "store" not in takes:
-        raise ValueError(
-            f"study of campaign is {described(study)}; it must be one of jaxclear that takes "
-            "store=, such as jaxclear.sensitivity, or left out for a Monte Carlo study."
-        )
-    for name, value in options.items():
-        taken = [option for option in (COUNTS if name == "samples" else (name,)) if option in takes]
-        if not taken:
-            raise ValueError(
-                f"jaxclear.{study.__name__} has no {name}; leave it out of the campaign."
-            )
-        settings = settings | {taken[0]: value}
-    return study(problem, store=folder, **settings)
-
-
 @contextmanager
 def _make_workers(problem: Problem, client: Any) -> Iterator[AbstractWork]:
     """Who computes: the threads here, or the workers of a client."""
@@ -182,29 +159,6 @@ def _make_workers(problem: Problem, client: Any) -> Iterator[AbstractWork]:
         yield workers
     finally:
         workers.close()
-
-
-def _make_plan(problem: Any, samples: Any, seed: Any, settings: dict[str, Any]) -> Plan:
-    """The plan to begin with. Raises `ValueError` or `TypeError` with a sentence."""
-    for name in settings:
-        if name not in SAMPLED:
-            names = [*inspect.signature(campaign).parameters][:-1]
-            raise TypeError(
-                f'jaxclear.campaign has no argument "{name}"; it takes '
-                f"{listed([*names, *SAMPLED])}.{meant(name, [*names, *SAMPLED])}"
-            )
-    sampling, scramblings = settings.get("sampling", "sobol"), settings.get("scramblings")
-    check_sampled(problem, samples, seed, sampling)
-    if not problem.cost().compiled:
-        raise ValueError(f"problem of campaign ({type(problem.experiment).__name__}) {OTHERWISE}")
-    to_accuracy = settings.get("accuracy") is not None
-    first = min(samples, FIRST_SAMPLES) if to_accuracy else samples
-    parts = checked_scramblings("campaign", first, scramblings)
-    first = first_of(first, parts) if to_accuracy else first
-    chunk = settings.get("chunk")
-    if chunk is not None:
-        check_count("chunk of campaign", chunk)
-    return planned(problem, (first, seed, sampling, parts), chunk, samples)
 
 
 def _open_samples(

@@ -33,8 +33,8 @@ P, R = ParamSpec("P"), TypeVar("R")
 # Within a folder: its study, its chunks, files on their way, and who computes which chunk.
 STUDY, CHUNKS, UNFINISHED, CLAIMS = "study.json", "chunks", ".unfinished", ".claims"
 CHECKSUM, FORMAT = "checksum", "format"
-# Of these files; folders of jaxclear 0.36 and earlier have none, and hold chunks under this name.
-THIS_FORMAT, EARLIER_CHUNKS = 1, "pieces"
+# Of these files.
+THIS_FORMAT = 1
 # Bytes of a checksum; where arrays begin.
 HASH_SIZE, ALIGNMENT = 32, 8
 # Of an address, in hexadecimal.
@@ -217,8 +217,6 @@ class Store:
         """What the folder says of its study; None where there is none. Where that is damaged, None
         too if it is to be mended, with a warning; else raises `DamagedStudyError`."""
         path = self.folder / STUDY
-        if (self.folder / EARLIER_CHUNKS).exists():
-            self._refuse_earlier()
         if not path.exists():
             return None
         saved: Any = {}

@@ -10,18 +10,15 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy
-from jaxtyping import Array, Float
 
 from jaxclear.ground.argument_errors import answering
 from jaxclear.ground.arguments import check_count, check_flags, check_name, check_number, expect
 from jaxclear.studies.experiment import SampleResult
 from jaxclear.studies.infinite_responses import refuse_infinite
-from jaxclear.studies.monte_carlo import MonteCarlo
 from jaxclear.studies.problem import Problem
 from jaxclear.studies.sampling import all_values
 from jaxclear.studies.scrambling import scrambled_normal
@@ -86,26 +83,22 @@ def surface(
     problem: Problem,
     sample: int | GivenSample | None = None,
     *,
-    degree: int | None = None,
     over: Region = 1.0,
-    slopes: bool = False,
     seed: int = 0,
     store: str | Path | None = None,
     progress_bar: bool = False,
 ) -> ResponseSurface:
     """Fit a polynomial response surface to a few runs of a problem.
 
+    The degree is that of 1 to 4 that predicts runs best, for each response.
+
     Args:
         problem: the problem.
         sample: number of runs, or a `MonteCarlo` or `Campaign` of this problem; None (default) for
             three runs for each term of a quadratic.
-        degree: degree of the polynomials, an integer; None (default) for that of 1 to 4 that
-            predicts runs best, for each response.
         over: where the surface is fitted: a factor of the spread of the variables [1], 1 by
             default, larger for rare parts; or a dictionary of ranges (low, high) by variable, in
             its unit, filled evenly, for nominal values that are to be chosen.
-        slopes: whether to fit the exact slopes of each run too, which exist where no contact opens
-            or closes; False by default.
         seed: seed of the random numbers; 0 by default.
         store: folder that keeps the runs; None (default) for none.
         progress_bar: whether to show the progress; False by default.
@@ -119,71 +112,22 @@ def surface(
     expect(problem, Problem, "what a surface is fitted to", "a problem of jaxclear")
     if not problem.names:
         raise ValueError("the problem has no variables; a surface would have none: give it some.")
-    if degree is not None:
-        check_count("degree of surface", degree)
     check_count("seed of surface", seed, at_least=0)
-    check_flags("surface", slopes=slopes, progress_bar=progress_bar)
+    check_flags("surface", progress_bar=progress_bar)
     check_region(problem, over)
-    why = "; ".join(filter(None, problem.description.derivative)) if slopes else ""
-    if why:
-        raise ValueError(f"this problem has no exact slopes ({why}); take slopes=False.")
+    lacking = ""
     if isinstance(sample, GivenSample):
-        values, result, lacking = _runs_of_study(sample_of(problem, sample), slopes)
-        gradients = None
+        study = sample_of(problem, sample)
+        ends = jnp.asarray(study.outcome), jnp.asarray(study.ended)
+        responses = jax.tree.map(jnp.asarray, study.responses)
+        values, lacking = study.values, study.unreached
+        result = SampleResult(responses, *ends, study.checks)
     else:
         count = len(powers(np.full(len(problem.names), 2), 2))
         runs = max(RUNS_PER_TERM * count, FEWEST) if sample is None else sample
         check_count("sample of surface (how many runs, a Monte Carlo study or a campaign)", runs)
         values = drawn(problem, runs, over, seed)
-        result, gradients = run(problem, values, slopes=slopes, progress_bar=progress_bar)
-        lacking = ""
+        points = jnp.asarray(values)
+        result = evaluate_all(problem, points, progress_bar=progress_bar, label="surface")
     refuse_infinite(problem, result.responses, "surface", INSTEAD)
-    through = fitted(problem, values, result, degree=degree, gradients=gradients)
-    return dataclasses.replace(through, unreached=lacking)
-
-
-def _runs_of_study(study: MonteCarlo, slopes: bool) -> tuple[np.ndarray, SampleResult, str]:
-    """Values (runs, variables) and outcomes of a study, and what it lacks of what was asked for."""
-    if slopes:
-        raise ValueError("a Monte Carlo study has no slopes; give a number of runs instead.")
-    ends = jnp.asarray(study.outcome), jnp.asarray(study.ended)
-    responses = jax.tree.map(jnp.asarray, study.responses)
-    return study.values, SampleResult(responses, *ends, study.checks), study.unreached
-
-
-@eqx.filter_jit
-def _with_slopes(problem: Problem, values: Float[Array, "samples variables"]):
-    """Outcomes of a chunk of samples, and the slopes of their responses, (samples, variables)."""
-
-    def one(row):
-        def responses(at):
-            result = problem.evaluate(at)
-            return result.responses, result
-
-        return jax.jacfwd(responses, has_aux=True)(row)
-
-    return jax.vmap(one)(values)
-
-
-def run(
-    problem: Problem,
-    values: np.ndarray,
-    *,
-    slopes: bool = False,
-    chunk: int | None = None,
-    progress_bar: bool = False,
-) -> tuple[SampleResult, dict[str, np.ndarray] | None]:
-    """Results of runs, and the slopes of each response (runs, variables) where requested.
-
-    Args:
-        problem: that is run.
-        values: of the variables, shape (runs, variables).
-        slopes: whether they are computed.
-        chunk: samples computed together; None: chosen.
-        progress_bar: whether one is shown.
-    """
-    options: dict[str, Any] = {"chunk": chunk, "progress_bar": progress_bar, "label": "surface"}
-    if not slopes:
-        return evaluate_all(problem, jnp.asarray(values), **options), None
-    both: Any = evaluate_all(problem, jnp.asarray(values), function=_with_slopes, **options)
-    return both[1], both[0]
+    return dataclasses.replace(fitted(problem, values, result), unreached=lacking)
