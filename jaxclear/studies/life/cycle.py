@@ -291,8 +291,8 @@ def _worse_figures(one: Checks, other: Checks) -> Checks:
         theirs = other.figures[check]
         more = theirs.worst > mine.worst
         figures[check] = type(mine)(
-            np.where(more, theirs.worst, mine.worst),
-            np.where(more, theirs.time, mine.time),
+            jnp.where(more, theirs.worst, mine.worst),
+            jnp.where(more, theirs.time, mine.time),
             mine.places,
         )
     return Checks.of(figures)
