@@ -15,7 +15,7 @@ from jaxclear.ground.printing import AbstractShown, with_error
 from jaxclear.ground.quantity import AbstractQuantified
 from jaxclear.ground.table import MOST_ROWS, as_table
 from tests.plot.identified import identified
-from tests.test_architecture import CLASSES
+from tests.test_architecture import own_classes
 
 NAMES = ("a", "width of the gap between the slider and the guide at the far end")
 UNITS = {"gap": "m", "force": "N", "share": "1"} | {f"deflection number {i}": "m" for i in range(9)}
@@ -208,7 +208,7 @@ def tables(part):
 
 
 def test_every_class_of_answers_is_looked_at():
-    kinds = [k for k in CLASSES.values() if issubclass(k, AbstractShown)]
+    kinds = [k for k in own_classes().values() if issubclass(k, AbstractShown)]
     answers = {
         kind.__name__
         for kind in kinds
@@ -284,6 +284,6 @@ def test_a_number_beside_its_error(value, error, words):
 
 def test_nothing_stands_in_the_way_of_printing():
     """What is shown goes through `_parts` without arguments: no class gives the name to another."""
-    kinds = [kind for kind in CLASSES.values() if issubclass(kind, AbstractShown)]
+    kinds = [kind for kind in own_classes().values() if issubclass(kind, AbstractShown)]
     assert len(kinds) > 10
     assert all(kind._parts is AbstractShown._parts for kind in kinds)

@@ -14,7 +14,7 @@ import pytest
 import jaxclear as jc
 from jaxclear.ground.quantity import AbstractQuantified, public_name
 from jaxclear.studies.design.cost import AbstractCost
-from tests.test_architecture import CLASSES
+from tests.test_architecture import own_classes
 
 # What a field without a default may hold, by its type; numbers see `number_within`.
 FILLERS = {str: "arm", float: 2.0, tuple[int, int]: (12, 1), tuple[int, ...]: (6, 7)}
@@ -80,7 +80,7 @@ def specimen(kind, **changes):
 
 
 def finals():
-    return [kind for kind in CLASSES.values() if not inspect.isabstract(kind)]
+    return [kind for kind in own_classes().values() if not inspect.isabstract(kind)]
 
 
 NUMBERS = {
