@@ -361,19 +361,20 @@ class _AlongRun(eqx.Module):
 
 
 def run_felt(
-    make_run: Callable[[AbstractIntegrator], Trajectory],
+    run: Trajectory,
     integrator: AbstractIntegrator,
     passed: dict[str, Any],
+    make_run: Callable[[AbstractIntegrator], Trajectory],
 ) -> tuple[Trajectory, AbstractIntegrator]:
     """A run, repeated where its steps are to end at what loads of the user's own do along it, and
     judged by what steps pass over; and the integrator that made it.
 
     Args:
-        make_run: a run by an integrator.
+        run: the run by `integrator`.
         integrator: as `load_steps` returns it.
         passed: shares of functions of time that its steps pass over, by name.
+        make_run: makes a run by an integrator.
     """
-    run = make_run(integrator)
     # A program repeats it once, whatever it feels: what is traced cannot decide.
     for _ in range(1 if is_traced(run.outcome) else 2):
         refined, more = felt_along(run, integrator)

@@ -356,7 +356,8 @@ def _simulate_once(
 
         with stoppable():
             make_run = lambda steps: again(Replica(steps, saved))
-            run, integrator = run_felt(make_run, integrator, shares)
+            run = again(Replica(integrator, saved))
+            run, integrator = run_felt(run, integrator, shares, make_run)
             run = until_the_end(diagnosed(guarded(run, integrator)))
             if is_traced(sound):
                 outcome = jnp.where(sound, run.outcome, Outcome.UNASSEMBLED)

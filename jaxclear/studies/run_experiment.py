@@ -246,10 +246,9 @@ class RunExperiment(AbstractExperiment):
         extras = Extras(events=self.events, discrete=discrete)
         arguments = mechanism, *start[:2], self._times()
         make_run = lambda steps: run(*arguments, steps, extras, self.past, self.updates)
+        trajectory = make_run(self.integrator)
         if self.looks_along:
-            trajectory, _ = run_felt(make_run, self.integrator, {})
-        else:
-            trajectory = make_run(self.integrator)
+            trajectory, _ = run_felt(trajectory, self.integrator, {}, make_run)
         return mechanism, start, until_the_end(trajectory)
 
     def _times(self) -> Array:

@@ -128,7 +128,6 @@ TABLE: list[tuple[str, str, Callable[[Any], Any], dict[str, Any]]] = [
     ("pointing_error", "tip", lambda x: jc.pointing_error(run(), x), PARTS | {"other": "rodd"}),
     ("pointing_error", "base", lambda x: pointing(base=x), KINDS["word"]),
     ("pointing_error", "through", lambda x: pointing(through=x), KINDS["word"]),
-    ("pointing_error", "nominal", lambda x: pointing(nominal=x), NOT_NONE),
     ("combined_modulus", "combined", lambda x: jc.material.combined_modulus(x, STEEL), PARTS),
     ("fitted", "shape", lambda x: jc.stiffness.fitted(HERTZ, x), PARTS),
     ("four_bar", "kind", lambda x: jc.scenes.four_bar(x), KINDS["word"]),
