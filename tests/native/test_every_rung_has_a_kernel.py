@@ -72,11 +72,18 @@ def write(program, lanes):
 
 
 def compare(program, lanes):
-    """As with JAXCLEAR_CHECK_KERNELS=1."""
+    """As with JAXCLEAR_CHECK_KERNELS=1; of a loop that random numbers do not end or compare
+    conclusively, the loops within it."""
     text = kernel.text_of(program, lanes, checked=True)
-    if text not in PASSED:
+    if text in PASSED:
+        return
+    try:
         check.check(program, kernel.turn_of(program, lanes), partial(check.turn_by_jax, program))
-        PASSED.add(text)
+    except check.Incomparable:
+        for equation in program.body.jaxpr.eqns:
+            if equation.primitive.name == "jaxclear_loop":
+                compare(equation.params["program"], lanes)
+    PASSED.add(text)
 
 
 def kernels_of(rig, integrator, judge, monkeypatch):
